@@ -1,0 +1,1 @@
+"""Bayesian calibration for Monte Carlo localization."""
