@@ -1,0 +1,102 @@
+"""The functions that a motion, start or sensor table implements: the extension points of pmcl.
+
+Arrays are laid out for vector instructions: a set of n states of D components is an array of shape (D, n). Log
+densities are *added* to `logp`. `scratch` is a work array of shape (rows, n) whose contents are undefined; its rows
+are the most that any part asks for with :func:`scratch_rows`. Implementations are plain functions that numba can compile, registered with
+``@propagate.register(MyTable)``. All of them must cope with n = 1.
+"""
+
+from __future__ import annotations
+
+from pmcl.filtering.kernels.compile import generic
+
+__all__ = [
+    "draw_start",
+    "has_reading",
+    "linear_information",
+    "linearise_start",
+    "linearise_transition",
+    "looks_back",
+    "propagate",
+    "reading_logpdf",
+    "scratch_rows",
+    "start_logpdf",
+    "state_size",
+    "transition_logpdf",
+]
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+@generic
+def state_size(motion):
+    """Return D, the number of components of a state (3 for a pose)."""
+
+
+@generic
+def scratch_rows(table):
+    """Return how many rows of scratch space the functions of this table need."""
+
+
+@generic
+def draw_start(start, rng, current):
+    """Fill `current` (D, n) with draws of the first state."""
+
+
+@generic
+def start_logpdf(start, current, logp):
+    """Add the log density of each first state in `current` (D, n) to `logp` (n,)."""
+
+
+@generic
+def propagate(motion, t, rng, previous, current, scratch):
+    """Draw states at time t into `current` (D, n) given the states at time t - 1 in `previous` (D, n)."""
+
+
+@generic
+def transition_logpdf(motion, t, previous, current, logp, scratch):
+    """Add log p(current | previous) of each of the `previous` (D, n) to `logp` (n,); `current` (D,) is one state at t."""
+
+
+@generic
+def has_reading(sensor, t):
+    """Return whether the sensor measured anything at time t."""
+
+
+@generic
+def looks_back(sensor):
+    """Return True when the density of a reading depends on the previous state as well as the current one."""
+
+
+@generic
+def reading_logpdf(sensor, t, previous, current, logp, scratch):
+    """Add log p(readings at t | current, previous) to `logp` (n,).
+
+    `previous` (D, n) are the states at t - 1 (at t = 0 the same array as `current`); only sensors that look back
+    read them.
+    """
+
+
+@generic
+def linearise_start(start, reference, precision, shift):
+    """Add the Gaussian information of the start belief about the deviation from `reference` (D,).
+
+    `precision` (D, D) gains the inverse covariance, `shift` (D,) the inverse covariance times the mean deviation.
+    """
+
+
+@generic
+def linearise_transition(motion, t, before, after, jacobian, offset, precision):
+    """Linearise the transition around `before` (D,) at t - 1 and `after` (D,) at t.
+
+    deviation[t] = jacobian @ deviation[t-1] + offset + noise of inverse covariance `precision`; all three are filled.
+    """
+
+
+@generic
+def linear_information(sensor, geometry, t, precision, shift):
+    """Add the information of the readings at t about the deviation from the reference.
+
+    `geometry` is what the sensor's Python side prepared at the reference trajectory: see
+    :mod:`pmcl.filtering.kernels.geometry`.
+    """

@@ -1,0 +1,132 @@
+"""Kernels of :class:`~pmcl.models.tables.LandmarkSightings`: distance, bearing and apparent size of known landmarks."""
+
+from __future__ import annotations
+
+import math
+
+from pmcl.filtering.kernels.contract import (
+    has_reading,
+    linear_information,
+    looks_back,
+    reading_logpdf,
+    scratch_rows,
+)
+from pmcl.filtering.kernels.geometry import BEARING, RANGE
+from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, sincos_into
+from pmcl.models.tables import LandmarkSightings
+
+# mypy: disable-error-code="no-untyped-def"
+
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+@scratch_rows.register(LandmarkSightings, allocates=False)
+def _scratch_rows(table):
+    return 7
+
+
+@looks_back.register(LandmarkSightings, allocates=False)
+def _looks_back(sensor):
+    return False
+
+
+@has_reading.register(LandmarkSightings, allocates=False)
+def _has_reading(sensor, t):
+    return sensor.first[t + 1] > sensor.first[t]
+
+
+@reading_logpdf.register(LandmarkSightings, allocates=False)
+def _reading_logpdf(sensor, t, previous, current, logp, scratch):
+    n = logp.size
+    sine, cosine, ahead, aside, work, angle, log_area = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5], scratch[6],
+    )  # fmt: skip
+    x, y = current[0], current[1]
+    sincos_into(current[2], sine, cosine)
+    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    for k in range(sensor.first[t], sensor.first[t + 1]):
+        j = sensor.landmark[k]
+        landmark_x, landmark_y = sensor.position[j, 0], sensor.position[j, 1]
+        weight = sensor.outlier_weight[j]
+        for i in range(n):
+            ahead[i] = (landmark_x - x[i]) * cosine[i] + (landmark_y - y[i]) * sine[i] - mount_x
+        for i in range(n):
+            aside[i] = (landmark_y - y[i]) * cosine[i] - (landmark_x - x[i]) * sine[i] - mount_y
+        target = work if weight > 0.0 else logp
+        if weight > 0.0:
+            for i in range(n):
+                work[i] = 0.0
+        outlier = 0.0
+        z = sensor.range[k]
+        if not math.isnan(z):
+            scale, bias, inverse_std = sensor.range_scale[j], sensor.range_bias[j], 1.0 / sensor.range_std[j]
+            constant = math.log(inverse_std) - _HALF_LOG_2PI
+            outlier -= math.log(sensor.max_range)
+            for i in range(n):
+                r = (z - bias - scale * math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])) * inverse_std
+                target[i] += constant - 0.5 * r * r
+        z = sensor.size[k]
+        if not math.isnan(z):
+            # Gaussian on the ratio observed / ideal; the density of the pixels themselves divides by the ideal.
+            inverse_std, per_area = 1.0 / sensor.size_std[j], 1.0 / sensor.size_constant[j]
+            constant = math.log(inverse_std * per_area) - _HALF_LOG_2PI
+            outlier -= math.log(sensor.size_constant[j])
+            for i in range(n):
+                angle[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
+                r = (z * angle[i] * per_area - 1.0) * inverse_std
+                target[i] += constant - 0.5 * r * r
+            log_into(angle, log_area)
+            for i in range(n):
+                target[i] += log_area[i]
+        z = sensor.bearing[k]
+        if not math.isnan(z):
+            # Turning the landmark by minus the reading leaves the residual as one angle, already wrapped.
+            expected = z - sensor.bearing_bias[j] + mount_yaw
+            c, s = math.cos(expected), math.sin(expected)
+            inverse_std = 1.0 / sensor.bearing_std[j]
+            constant = math.log(inverse_std) - _HALF_LOG_2PI
+            outlier -= _LOG_2PI
+            for i in range(n):
+                u, v = ahead[i], aside[i]
+                ahead[i] = u * c + v * s
+                aside[i] = v * c - u * s
+            atan2_into(aside, ahead, angle)
+            for i in range(n):
+                r = angle[i] * inverse_std
+                target[i] += constant - 0.5 * r * r
+        if weight > 0.0:
+            exp_into(work, 0.0, angle)
+            floor = weight * math.exp(outlier)
+            for i in range(n):
+                angle[i] = (1.0 - weight) * angle[i] + floor
+            log_into(angle, work)
+            for i in range(n):
+                logp[i] += work[i]
+
+
+@linear_information.register(LandmarkSightings, allocates=False)
+def _linear_information(sensor, geometry, t, precision, shift):
+    for k in range(geometry.first[t], geometry.first[t + 1]):
+        j, kind = geometry.channel[k], geometry.kind[k]
+        scale, expected, std = 1.0, geometry.value[k], 1.0
+        if kind == RANGE:
+            scale, std = sensor.range_scale[j], sensor.range_std[j]
+            expected = scale * expected + sensor.range_bias[j]
+        elif kind == BEARING:
+            std = sensor.bearing_std[j]
+            expected += sensor.bearing_bias[j]
+        else:
+            # The ratio observed / ideal has its noise on the observed side: in pixels it is size_std * ideal.
+            scale = sensor.size_constant[j]
+            expected *= scale
+            std = sensor.size_std[j] * expected
+        residual = geometry.reading[k] - expected
+        if kind == BEARING:
+            residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
+        weight = geometry.weight[k] / (std * std)
+        for a in range(3):
+            row = weight * scale * geometry.jacobian[k, a]
+            shift[a] += row * residual
+            for b in range(3):
+                precision[a, b] += row * scale * geometry.jacobian[k, b]

@@ -1,0 +1,195 @@
+"""The Metropolis block of eq. 17 on statistics of a trajectory, one dimension at a time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+
+from pmcl.filtering.kernels.compile import entry, generic, kernel, overload_for_types
+from pmcl.filtering.kernels.ranges import log_normal_tail
+from pmcl.models.statistics import GaussianSums, GrowingResiduals, RangeResiduals, SightingResiduals
+
+# mypy: disable-error-code="no-untyped-def"
+
+__all__ = ["log_prior", "metropolis_block", "statistics_logpdf", "theta_logpdf"]
+
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+@generic
+def theta_logpdf(statistics, theta):
+    """Return the log density of the residuals, up to a constant that does not depend on theta."""
+
+
+@kernel
+def _value(statistics, theta, position):
+    index = statistics.index[position]
+    return theta[index] if index >= 0 else statistics.value[position]
+
+
+@kernel
+def _depends(index, k):
+    for position in range(index.size):
+        if index[position] == k:
+            return True
+    return False
+
+
+@theta_logpdf.register(GaussianSums, allocates=False)
+def _gaussian(statistics, theta):
+    value = 0.0
+    for group in range(statistics.index.size):
+        std = _value(statistics, theta, group)
+        value -= statistics.count[group] * math.log(std) + 0.5 * statistics.squares[group] / (std * std)
+    return value
+
+
+@theta_logpdf.register(GrowingResiduals, allocates=False)
+def _growing(statistics, theta):
+    forward, left, turn = _value(statistics, theta, 0), _value(statistics, theta, 1), _value(statistics, theta, 2)
+    forward_per_metre, turn_per_radian = _value(statistics, theta, 3), _value(statistics, theta, 4)
+    turn_per_metre = _value(statistics, theta, 5)
+    residual, distance, angle = statistics.residual, statistics.distance, statistics.turn
+    value = 0.0
+    for i in range(distance.size):
+        var_forward = forward**2 + (forward_per_metre * distance[i]) ** 2
+        var_turn = turn**2 + (turn_per_radian * angle[i]) ** 2 + (turn_per_metre * distance[i]) ** 2
+        value -= 0.5 * math.log(var_forward * var_turn)
+        value -= 0.5 * (residual[i, 0] ** 2 / var_forward + residual[i, 2] ** 2 / var_turn)
+        value -= 0.5 * (residual[i, 1] / left) ** 2
+    return value - distance.size * math.log(left)
+
+
+@theta_logpdf.register(RangeResiduals, allocates=False)
+def _ranges(statistics, theta):
+    std, weight = _value(statistics, theta, 0), _value(statistics, theta, 1)
+    constant = math.log((1.0 - weight) / std) - _HALF_LOG_2PI
+    floor = weight * statistics.density
+    residual, tail = statistics.residual, statistics.tail
+    value = 0.0
+    for i in range(residual.size):
+        r = residual[i] / std
+        value += math.log(math.exp(constant - 0.5 * r * r) + floor) if floor > 0.0 else constant - 0.5 * r * r
+    for i in range(tail.size):
+        value += math.log(1.0 - weight) + log_normal_tail(tail[i] / std)
+    return value
+
+
+@theta_logpdf.register(SightingResiduals, allocates=False)
+def _sightings(statistics, theta):
+    weight = _value(statistics, theta, 3)
+    residual, log_scale, log_outlier = statistics.residual, statistics.log_scale, statistics.log_outlier
+    value = 0.0
+    for i in range(log_scale.size):
+        inlier = math.log(1.0 - weight) + log_scale[i]
+        for channel in range(3):
+            if not math.isnan(residual[i, channel]):
+                std = _value(statistics, theta, channel)
+                r = residual[i, channel] / std
+                inlier -= 0.5 * r * r + math.log(std) + _HALF_LOG_2PI
+        outlier = math.log(weight) + log_outlier[i]
+        high, low = max(inlier, outlier), min(inlier, outlier)
+        value += high + math.log1p(math.exp(low - high))
+    return value
+
+
+@kernel
+def log_prior(priors, k, x):
+    """Return the log prior density of parameter `k` at `x`; see :class:`~pmcl.models.parameters.PriorTable`."""
+    family, a, b = priors.family[k], priors.shape_a[k], priors.shape_b[k]
+    y = (x - priors.loc[k]) / priors.scale[k]
+    value = priors.constant[k]
+    if family == 0:
+        return value - 0.5 * y * y
+    if y <= 0.0 or ((family == 3 or family == 4) and y >= 1.0):
+        return -np.inf
+    if family == 1:
+        return value + (a - 1.0) * math.log(y) - y
+    if family == 2:
+        log_y = math.log(y)
+        return value - log_y - 0.5 * (log_y / a) ** 2
+    if family == 3:
+        return value
+    if family == 4:
+        return value + (a - 1.0) * math.log(y) + (b - 1.0) * math.log1p(-y)
+    if family == 5:
+        return value - 0.5 * y * y
+    if family == 6:
+        return value - y
+    return value - (a + 1.0) * math.log(y) - 1.0 / y
+
+
+def _update_terms(parts, position, theta, k, terms, trial):
+    """Write the log density of every part that uses theta[k] into `trial`; copy the others from `terms`."""
+    for offset, part in enumerate(parts):
+        if k < 0 or (part.index == k).any():
+            trial[position + offset] = theta_logpdf(part, theta)
+        else:
+            trial[position + offset] = terms[position + offset]
+
+
+@overload_for_types(_update_terms)
+def _update_terms_compiled(parts, position, theta, k, terms, trial):
+    if isinstance(parts, types.BaseTuple) and len(parts) == 0:
+        return lambda parts, position, theta, k, terms, trial: None
+
+    def update(parts, position, theta, k, terms, trial):
+        if k < 0 or _depends(parts[0].index, k):
+            trial[position] = theta_logpdf(parts[0], theta)
+        else:
+            trial[position] = terms[position]
+        _update_terms(parts[1:], position + 1, theta, k, terms, trial)
+
+    return update
+
+
+@entry
+def statistics_logpdf(parts, theta):
+    """Return the sum of the log densities of all statistics at `theta` (d,)."""
+    terms = np.zeros(len(parts))
+    _update_terms(parts, 0, theta, -1, terms, terms)
+    return terms.sum()
+
+
+@entry
+def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts, accepted):
+    """Update `theta` (d,) in place by `n_sweeps` rounds of one-dimensional Gaussian proposals (eq. 17).
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    theta, log_step : ndarray, shape (d,)
+        Parameters, and logs of the proposals' standard deviations.
+    n_sweeps : int
+        The paper's m.
+    gain, target : float
+        During burn-in each proposal moves log_step by ``gain * (accepted - target)`` (Robbins and Monro); afterwards gain is 0.
+    priors : PriorTable
+        The priors.
+    parts : tuple of statistics
+        Residuals of the current trajectory.
+    accepted : ndarray, shape (d,)
+        Receives the share of accepted proposals of each dimension.
+    """
+    terms, trial = np.zeros(len(parts)), np.zeros(len(parts))
+    _update_terms(parts, 0, theta, -1, terms, terms)
+    accepted[:] = 0.0
+    for _ in range(n_sweeps):
+        for k in range(theta.size):
+            old = theta[k]
+            theta[k] = old + math.exp(log_step[k]) * rng.standard_normal()
+            log_ratio = log_prior(priors, k, theta[k]) - log_prior(priors, k, old)
+            if log_ratio > -np.inf:
+                _update_terms(parts, 0, theta, k, terms, trial)
+                log_ratio += (trial - terms).sum()
+            # A comparison with NaN is False: a density that is not a number is never accepted.
+            yes = math.log(rng.random()) < log_ratio
+            if yes:
+                terms[:] = trial
+                accepted[k] += 1.0 / n_sweeps
+            else:
+                theta[k] = old
+            log_step[k] += gain * ((1.0 if yes else 0.0) - target)

@@ -1,0 +1,140 @@
+"""Kernels of :class:`~pmcl.models.tables.RangeBeams`: range readings of any number of beams against walls."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pmcl.filtering.kernels.compile import kernel
+from pmcl.filtering.kernels.contract import (
+    has_reading,
+    linear_information,
+    looks_back,
+    reading_logpdf,
+    scratch_rows,
+)
+from pmcl.filtering.kernels.rays import inverse_lengths, wall_numerators
+from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
+from pmcl.models.tables import RangeBeams
+
+# mypy: disable-error-code="no-untyped-def"
+
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+_FIXED_ROWS = 8
+
+
+@scratch_rows.register(RangeBeams, allocates=False)
+def _scratch_rows(table):
+    return _FIXED_ROWS + table.vertices.shape[0] + table.wall_start.size
+
+
+@looks_back.register(RangeBeams, allocates=False)
+def _looks_back(sensor):
+    return False
+
+
+@has_reading.register(RangeBeams, allocates=False)
+def _has_reading(sensor, t):
+    return sensor.measured[t] > 0
+
+
+@kernel
+def beam_logpdf(z, inverse_length, bias, scale, std, outlier_weight, max_range, logp, work, mixture):
+    """Add the log density of one reading `z` [m] given 1 / length of each ray; see :class:`RangeBeams`.
+
+    A reading of 0 or of `max_range` is a clipped one: its probability is that of the Gaussian tail.
+    """
+    n = logp.size
+    clipped_low, clipped_high = z <= 0.0, z >= max_range
+    weight = 1.0 / std
+    # A ray that meets nothing has length inf; twice the longest reading stands for it.
+    far = 2.0 * max_range
+    constant = math.log(weight) - _HALF_LOG_2PI
+    if not (clipped_low or clipped_high or outlier_weight > 0.0):
+        shifted = (z - bias) * weight
+        slope, limit = scale * weight, (z - far) * weight
+        for i in range(n):
+            r = max(shifted - slope / inverse_length[i], limit)
+            logp[i] += constant - 0.5 * r * r
+        return
+    for i in range(n):
+        expected = min(scale / inverse_length[i] + bias, far)
+        if clipped_low:
+            work[i] = log_normal_tail(expected * weight)
+        elif clipped_high:
+            work[i] = log_normal_tail((max_range - expected) * weight)
+        else:
+            r = (z - expected) * weight
+            work[i] = constant - 0.5 * r * r
+    if outlier_weight > 0.0:
+        # A clipped reading has no share of the uniform density: outliers lie strictly inside.
+        floor = 0.0 if clipped_low or clipped_high else outlier_weight / max_range
+        exp_into(work, 0.0, mixture)
+        for i in range(n):
+            mixture[i] = (1.0 - outlier_weight) * mixture[i] + floor
+        log_into(mixture, work)
+    for i in range(n):
+        logp[i] += work[i]
+
+
+@kernel
+def log_normal_tail(x):
+    """Return the log of the probability that a standard normal exceeds x, also far out in the tail."""
+    if x < 25.0:
+        return math.log(0.5 * math.erfc(x * math.sqrt(0.5)))
+    return -0.5 * x * x - math.log(x) - _HALF_LOG_2PI - 1.0 / (x * x)
+
+
+@kernel
+def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
+    """Write 1 / length of one beam for all particles into scratch row 2; reuse the origins when `moved` is False."""
+    n = current.shape[1]
+    dx, dy, best, x, y = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    n_vertices = sensor.vertices.shape[0]
+    side = scratch[_FIXED_ROWS : _FIXED_ROWS + n_vertices]
+    inverse = scratch[_FIXED_ROWS + n_vertices : _FIXED_ROWS + n_vertices + sensor.wall_start.size]
+    if moved:
+        mount_x, mount_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
+        for i in range(n):
+            x[i] = current[0, i] + mount_x * cosine[i] - mount_y * sine[i]
+        for i in range(n):
+            y[i] = current[1, i] + mount_x * sine[i] + mount_y * cosine[i]
+        wall_numerators(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, inverse)
+    c, s = math.cos(sensor.beam_pose[beam, 2]), math.sin(sensor.beam_pose[beam, 2])
+    for i in range(n):
+        dx[i] = cosine[i] * c - sine[i] * s
+        dy[i] = sine[i] * c + cosine[i] * s
+    inverse_lengths(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, dx, dy, inverse, side, best)
+
+
+@reading_logpdf.register(RangeBeams, allocates=False)
+def _reading_logpdf(sensor, t, previous, current, logp, scratch):
+    sine, cosine, work, best = scratch[5], scratch[6], scratch[7], scratch[2]
+    sincos_into(current[2], sine, cosine)
+    origin_x, origin_y = np.nan, np.nan
+    for beam in range(sensor.reading.shape[1]):
+        z = sensor.reading[t, beam]
+        if math.isnan(z):
+            continue
+        moved = sensor.beam_pose[beam, 0] != origin_x or sensor.beam_pose[beam, 1] != origin_y
+        origin_x, origin_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
+        cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch)
+        beam_logpdf(
+            z, best, sensor.bias[beam], sensor.scale[beam], sensor.std[beam],
+            sensor.outlier_weight[beam], sensor.max_range, logp, work, scratch[0],
+        )  # fmt: skip
+
+
+@linear_information.register(RangeBeams, allocates=False)
+def _linear_information(sensor, geometry, t, precision, shift):
+    for k in range(geometry.first[t], geometry.first[t + 1]):
+        beam = geometry.channel[k]
+        scale = sensor.scale[beam]
+        weight = geometry.weight[k] / sensor.std[beam] ** 2
+        residual = geometry.reading[k] - (scale * geometry.value[k] + sensor.bias[beam])
+        for a in range(3):
+            row = weight * scale * geometry.jacobian[k, a]
+            shift[a] += row * residual
+            for b in range(3):
+                precision[a, b] += row * scale * geometry.jacobian[k, b]

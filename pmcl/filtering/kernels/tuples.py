@@ -1,0 +1,94 @@
+"""The contract's sensor functions for a tuple of sensors: the densities of independent sensors add up."""
+
+from __future__ import annotations
+
+from numba import types
+
+from pmcl.filtering.kernels.compile import overload_for_types
+from pmcl.filtering.kernels.contract import (
+    has_reading,
+    linear_information,
+    looks_back,
+    reading_logpdf,
+    scratch_rows,
+)
+
+__all__ = ["any_look_back", "any_reading", "most_rows", "sum_information", "sum_logpdf"]
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+def any_reading(sensors, t):
+    """Return whether any sensor measured anything at time t."""
+    return any(has_reading(sensor, t) for sensor in sensors)
+
+
+def any_look_back(sensors):
+    """Return whether any sensor looks back at the previous state."""
+    return any(looks_back(sensor) for sensor in sensors)
+
+
+def most_rows(sensors):
+    """Return the greatest number of scratch rows that any sensor needs."""
+    return max((scratch_rows(sensor) for sensor in sensors), default=0)
+
+
+def sum_logpdf(sensors, t, previous, current, logp, scratch):
+    """Add the log densities of all readings at time t to `logp`."""
+    for sensor in sensors:
+        reading_logpdf(sensor, t, previous, current, logp, scratch)
+
+
+def sum_information(sensors, geometries, t, precision, shift):
+    """Add the linearised information of all readings at time t."""
+    for sensor, geometry in zip(sensors, geometries, strict=True):
+        linear_information(sensor, geometry, t, precision, shift)
+
+
+def _is_empty(sensors) -> bool:
+    return isinstance(sensors, types.BaseTuple) and len(sensors) == 0
+
+
+@overload_for_types(any_reading)
+def _any_reading(sensors, t):
+    if _is_empty(sensors):
+        return lambda sensors, t: False
+    return lambda sensors, t: has_reading(sensors[0], t) or any_reading(sensors[1:], t)
+
+
+@overload_for_types(any_look_back)
+def _any_look_back(sensors):
+    if _is_empty(sensors):
+        return lambda sensors: False
+    return lambda sensors: looks_back(sensors[0]) or any_look_back(sensors[1:])
+
+
+@overload_for_types(most_rows)
+def _most_rows(sensors):
+    if _is_empty(sensors):
+        return lambda sensors: 0
+    return lambda sensors: max(scratch_rows(sensors[0]), most_rows(sensors[1:]))
+
+
+@overload_for_types(sum_logpdf)
+def _sum_logpdf(sensors, t, previous, current, logp, scratch):
+    if _is_empty(sensors):
+        return lambda sensors, t, previous, current, logp, scratch: None
+
+    def both(sensors, t, previous, current, logp, scratch):
+        reading_logpdf(sensors[0], t, previous, current, logp, scratch)
+        sum_logpdf(sensors[1:], t, previous, current, logp, scratch)
+
+    return both
+
+
+@overload_for_types(sum_information)
+def _sum_information(sensors, geometries, t, precision, shift):
+    if _is_empty(sensors):
+        return lambda sensors, geometries, t, precision, shift: None
+
+    def both(sensors, geometries, t, precision, shift):
+        linear_information(sensors[0], geometries[0], t, precision, shift)
+        sum_information(sensors[1:], geometries[1:], t, precision, shift)
+
+    return both

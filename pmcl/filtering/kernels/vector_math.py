@@ -1,0 +1,175 @@
+"""Elementary functions over whole arrays, written so that the compiler turns each loop into vector instructions.
+
+A call of ``math.exp`` or ``math.atan2`` per particle costs 10 to 40 ns and cannot be vectorised; the branch-free
+loops here cost 1 to 5 ns per element. Series are Taylor expansions on a reduced argument, long enough for an error of
+a few units in the last place (tested against NumPy). No randomness and no allocation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pmcl.filtering.kernels.compile import kernel
+
+__all__ = ["atan2_into", "exp_into", "log_into", "maximum", "sincos_into", "total"]
+
+# Adding and subtracting 1.5 * 2^52 rounds to the nearest integer and leaves it in the low bits of the mantissa.
+_ROUND = 6755399441055744.0
+_LOG2E = 1.4426950408889634
+# ln 2 and pi / 2 in two and three parts, so that the reduced argument keeps its last bits (Cody and Waite, 1980).
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21
+_TWO_OVER_PI = 2.0 / math.pi
+_SMALLEST_EXPONENT = -700.0
+_TAN_PI_16, _TAN_PI_8, _TAN_3PI_16 = math.tan(math.pi / 16), math.tan(math.pi / 8), math.tan(3 * math.pi / 16)
+_SQRT_HALF = math.sqrt(0.5)
+_ONE_BITS = 1023 << 52
+_MANTISSA_BITS = (1 << 52) - 1
+
+
+@kernel
+def exp_into(x, shift, out):  # type: ignore[no-untyped-def]
+    """Write exp(x - shift) into `out`; arguments below -700 give exactly 0, NaN gives 0 (test for NaN before)."""
+    n = x.size
+    bits = out.view(np.int64)
+    for i in range(n):
+        out[i] = max(x[i] - shift, _SMALLEST_EXPONENT) * _LOG2E + _ROUND
+    for i in range(n):
+        bits[i] = (bits[i] + 1023) << 52
+    for i in range(n):
+        a = max(x[i] - shift, _SMALLEST_EXPONENT)
+        k = (a * _LOG2E + _ROUND) - _ROUND
+        r = (a - k * _LN2_HIGH) - k * _LN2_LOW
+        p = 1.0 / 6227020800.0
+        p = p * r + 1.0 / 479001600.0
+        p = p * r + 1.0 / 39916800.0
+        p = p * r + 1.0 / 3628800.0
+        p = p * r + 1.0 / 362880.0
+        p = p * r + 1.0 / 40320.0
+        p = p * r + 1.0 / 5040.0
+        p = p * r + 1.0 / 720.0
+        p = p * r + 1.0 / 120.0
+        p = p * r + 1.0 / 24.0
+        p = p * r + 1.0 / 6.0
+        p = p * r + 0.5
+        p = p * r + 1.0
+        p = p * r + 1.0
+        out[i] = p * out[i] if x[i] - shift > _SMALLEST_EXPONENT else 0.0
+
+
+@kernel
+def log_into(x, out):  # type: ignore[no-untyped-def]
+    """Write log(x) into `out` for normal numbers x > 0; 0 and subnormal numbers give -inf, negative numbers NaN."""
+    n = x.size
+    bits = x.view(np.int64)
+    scaled = out.view(np.int64)
+    for i in range(n):
+        scaled[i] = (bits[i] & _MANTISSA_BITS) | _ONE_BITS
+    for i in range(n):
+        m = out[i]
+        e = float((bits[i] >> 52) - 1023)
+        high = m > 1.4142135623730951
+        m = 0.5 * m if high else m
+        e = e + 1.0 if high else e
+        s = (m - 1.0) / (m + 1.0)
+        q = s * s
+        p = 2.0 / 21.0
+        p = p * q + 2.0 / 19.0
+        p = p * q + 2.0 / 17.0
+        p = p * q + 2.0 / 15.0
+        p = p * q + 2.0 / 13.0
+        p = p * q + 2.0 / 11.0
+        p = p * q + 2.0 / 9.0
+        p = p * q + 2.0 / 7.0
+        p = p * q + 2.0 / 5.0
+        p = p * q + 2.0 / 3.0
+        value = e * _LN2_HIGH + (e * _LN2_LOW + (s * q * p + 2.0 * s))
+        value = value if x[i] >= 2.2250738585072014e-308 else (-np.inf if x[i] >= 0.0 else np.nan)
+        out[i] = value if x[i] < np.inf else x[i]
+
+
+@kernel
+def sincos_into(angle, sine, cosine):  # type: ignore[no-untyped-def]
+    """Write sin and cos of `angle` [rad]; accurate while abs(angle) stays below about 1e5."""
+    for i in range(angle.size):
+        a = angle[i]
+        t = a * _TWO_OVER_PI + _ROUND
+        k = t - _ROUND
+        r = ((a - k * _HALF_PI_1) - k * _HALF_PI_2) - k * _HALF_PI_3
+        q = r * r
+        s = 1.0 / 355687428096000.0
+        s = s * q - 1.0 / 1307674368000.0
+        s = s * q + 1.0 / 6227020800.0
+        s = s * q - 1.0 / 39916800.0
+        s = s * q + 1.0 / 362880.0
+        s = s * q - 1.0 / 5040.0
+        s = s * q + 1.0 / 120.0
+        s = s * q - 1.0 / 6.0
+        s = s * q * r + r
+        c = 1.0 / 20922789888000.0
+        c = c * q - 1.0 / 87178291200.0
+        c = c * q + 1.0 / 479001600.0
+        c = c * q - 1.0 / 3628800.0
+        c = c * q + 1.0 / 40320.0
+        c = c * q - 1.0 / 720.0
+        c = c * q + 1.0 / 24.0
+        c = c * q - 0.5
+        c = c * q + 1.0
+        # The quadrant k mod 4 chooses which of the two is the sine, and the signs, without a branch.
+        quadrant = k - 4.0 * (((k * 0.25 - 0.375) + _ROUND) - _ROUND)
+        odd = (quadrant == 1.0) | (quadrant == 3.0)
+        sine_value = c if odd else s
+        cosine_value = s if odd else c
+        sine[i] = -sine_value if quadrant >= 2.0 else sine_value
+        cosine[i] = -cosine_value if (quadrant == 1.0) | (quadrant == 2.0) else cosine_value
+
+
+@kernel
+def atan2_into(y, x, out):  # type: ignore[no-untyped-def]
+    """Write the angle of the vector (x, y) in [-pi, pi] into `out`; the zero vector gives 0."""
+    for i in range(x.size):
+        u, v = abs(x[i]), abs(y[i])
+        big, small = max(u, v), min(u, v)
+        upper = small > _TAN_PI_8 * big
+        centre = _TAN_3PI_16 if upper else _TAN_PI_16
+        base = 3.0 * math.pi / 16.0 if upper else math.pi / 16.0
+        bottom = big + centre * small
+        a = (small - centre * big) / (bottom if bottom > 0.0 else 1.0)
+        q = a * a
+        p = 1.0 / 25.0
+        p = p * q - 1.0 / 23.0
+        p = p * q + 1.0 / 21.0
+        p = p * q - 1.0 / 19.0
+        p = p * q + 1.0 / 17.0
+        p = p * q - 1.0 / 15.0
+        p = p * q + 1.0 / 13.0
+        p = p * q - 1.0 / 11.0
+        p = p * q + 1.0 / 9.0
+        p = p * q - 1.0 / 7.0
+        p = p * q + 1.0 / 5.0
+        p = p * q - 1.0 / 3.0
+        angle = base + (p * q * a + a)
+        angle = 0.5 * math.pi - angle if v > u else angle
+        angle = math.pi - angle if x[i] < 0.0 else angle
+        angle = angle if big > 0.0 else 0.0
+        out[i] = -angle if y[i] < 0.0 else angle
+
+
+@kernel(assume_numbers=True)
+def maximum(x):  # type: ignore[no-untyped-def]
+    """Return the largest element; the answer is undefined when one is NaN."""
+    best = -np.inf
+    for i in range(x.size):
+        best = max(best, x[i])
+    return best
+
+
+@kernel(reorder=True)
+def total(x):  # type: ignore[no-untyped-def]
+    """Return the sum; NaN when any element is NaN (infinities of one sign stay infinite)."""
+    value = 0.0
+    for i in range(x.size):
+        value += x[i]
+    return value

@@ -1,0 +1,206 @@
+"""Particle filter, smoothing and conditional SMC for one log under one theta."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import FilterError
+from pmcl.filtering.kernels import smc
+from pmcl.filtering.kernels.resampling import SCHEMES
+from pmcl.models.tables import Tables
+
+__all__ = ["FilterPass", "SweepInfo", "draw_paths", "log_joint", "make_rng", "run_filter", "sweep_path"]
+
+Float = NDArray[np.float64]
+Kernel = Literal["smoothing", "conditional"]
+
+_NOTHING = np.empty(0)
+
+
+def make_rng(seed: int | np.random.SeedSequence | None = None) -> np.random.Generator:
+    """Return the generator that the kernels take: SFC64, fast and of good quality."""
+    return np.random.Generator(np.random.SFC64(seed))
+
+
+@dataclass(frozen=True)
+class FilterPass:
+    """What a particle filter leaves behind.
+
+    Attributes
+    ----------
+    log_evidence : float
+        Log of the unbiased estimate of p(readings | theta).
+    particles : ndarray, shape (T, D, n)
+        States at each time, after propagation.
+    log_weights : ndarray, shape (T, n)
+        Their unnormalised log weights at that time, before resampling.
+    log_increments : ndarray, shape (T,)
+        Log predictive density of the readings at each time; they sum to the evidence.
+    effective_size : ndarray, shape (T,)
+        Effective sample size, 1 to n.
+    """
+
+    log_evidence: float
+    particles: Float
+    log_weights: Float
+    log_increments: Float
+    effective_size: Float
+
+    def weights(self, t: int) -> Float:
+        """Return the normalised weights at time t, shape (n,)."""
+        w = np.exp(self.log_weights[t] - self.log_weights[t].max())
+        return np.asarray(w / w.sum())
+
+    def mean(self) -> Float:
+        """Return the weighted mean state at each time, (T, D). Headings are on the real line here, so a plain mean is right
+        while the particles agree; for a belief spread over the circle use :func:`pmcl.geometry.circular_mean`.
+        """
+        return np.array([self.particles[t] @ self.weights(t) for t in range(self.particles.shape[0])])
+
+
+def _raise(status: int, t: int, what: str) -> None:
+    if status == smc.ALL_ZERO:
+        raise FilterError(
+            f"{what}: at row {t} every particle has weight zero, so the filter has lost the robot; "
+            "use more particles, a wider start belief, or larger noise"
+        )
+    if status == smc.NOT_A_NUMBER:
+        raise FilterError(
+            f"{what}: at row {t} a density is not a number; check the coefficient tables of the model at that row"
+        )
+    if status == smc.NO_ANCESTOR:
+        raise FilterError(
+            f"{what}: no particle at row {t} can lead to the state at row {t + 1}; "
+            "the motion model has no transition density in some direction, give it noise in every direction"
+        )
+
+
+def run_filter(
+    tables: Tables,
+    n_steps: int,
+    n_particles: int,
+    rng: np.random.Generator,
+    *,
+    scheme: str = "multinomial",
+    threshold: float = 1.0,
+) -> FilterPass:
+    """Run a bootstrap particle filter over one log (eqs. 1 and 2).
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients of the model for this log.
+    n_steps : int
+        Number of rows T.
+    n_particles : int
+        Number of particles n, at least 2.
+    rng : numpy.random.Generator
+        Source of randomness, see :func:`make_rng`.
+    scheme : {"multinomial", "systematic", "stratified", "residual"}
+        How ancestors are drawn; the paper's is multinomial.
+    threshold : float
+        Resample where the effective sample size is at most ``threshold * n``: 1 always, 0 never.
+
+    Returns
+    -------
+    FilterPass
+        Cost: O(T n) times the cost of one reading's density; memory O(T n).
+
+    Raises
+    ------
+    FilterError
+        When every particle gets weight zero, a density is not a number, or n < 2.
+    """
+    check_particles(n_particles)
+    if scheme not in SCHEMES:
+        raise FilterError(f"expected a resampling scheme out of {sorted(SCHEMES)}, but got '{scheme}'")
+    status, t, log_evidence, particles, log_weights, steps = smc.filter_pass(
+        tables, rng, n_steps, n_particles, SCHEMES[scheme], float(threshold)
+    )
+    _raise(status, t, "particle filter")
+    return FilterPass(log_evidence, particles, log_weights, steps[:, 0], steps[:, 1])
+
+
+def check_particles(n_particles: int) -> None:
+    """Raise FilterError unless there are at least two particles."""
+    if n_particles < 2:
+        raise FilterError(f"expected at least 2 particles, but got {n_particles}; 25 to 1000 are usual")
+
+
+def draw_paths(tables: Tables, filtered: FilterPass, n_paths: int, rng: np.random.Generator) -> Float:
+    """Draw trajectories backward from a filter pass (eqs. 3 to 7), shape (n_paths, T, D).
+
+    Raises
+    ------
+    FilterError
+        When no particle can be the ancestor of a drawn state. Cost: O(T n) for each path.
+    """
+    status, t, paths = smc.sample_backward(tables, rng, filtered.particles, filtered.log_weights, n_paths)
+    _raise(status, t, "backward sampling")
+    return np.asarray(paths)
+
+
+class SweepInfo(NamedTuple):
+    """How one trajectory update went.
+
+    Attributes
+    ----------
+    log_evidence : float
+        Estimate of log p(readings | theta); unbiased with the smoothing kernel only.
+    effective_size : float
+        Mean effective sample size over rows with readings, as a share of n.
+    changed : float
+        Share of states that differ from the previous trajectory.
+    alive : bool
+        False when every particle got weight zero; the trajectory was then left as it was.
+    """
+
+    log_evidence: float
+    effective_size: float
+    changed: float
+    alive: bool
+
+
+def sweep_path(
+    tables: Tables, path: Float, n_steps: int, n_particles: int, rng: np.random.Generator, kernel: Kernel
+) -> SweepInfo:
+    """Replace the first `n_steps` states of `path` (T, D) in place by one draw.
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients at the current theta.
+    path : ndarray, shape (T, D)
+        The trajectory. ``conditional`` needs a valid one; ``smoothing`` does not read it.
+    n_steps : int
+        Rows to use (all, or fewer while data is being included).
+    n_particles : int
+        Number of particles.
+    rng : numpy.random.Generator
+        Source of randomness.
+    kernel : {"smoothing", "conditional"}
+        ``smoothing``: filter forward, sample backward (the paper's; exact only as n grows). ``conditional``: conditional SMC
+        with backward sampling (exact for any n; Whiteley 2010, Lindsten and Schon 2013).
+
+    Raises
+    ------
+    FilterError
+        When a density is not a number, or a transition has no density.
+    """
+    status, t, log_evidence, effective, changed = smc.sweep(
+        tables, rng, n_steps, n_particles, kernel == "conditional", path
+    )
+    if status == smc.ALL_ZERO:
+        return SweepInfo(-math.inf, 0.0, 0.0, False)
+    _raise(status, t, f"{kernel} sweep")
+    return SweepInfo(log_evidence, effective / n_particles, changed / n_steps, True)
+
+
+def log_joint(tables: Tables, path: Float) -> float:
+    """Return log p(path, readings | theta) of a path (T, D) over its own T rows: eq. 16 without the prior of theta."""
+    return float(smc.joint_terms(tables, path, _NOTHING))

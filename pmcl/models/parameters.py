@@ -1,0 +1,118 @@
+"""Parameters with names, units and priors, and the arrays of priors that compiled code reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from pmcl.errors import ModelError
+
+__all__ = ["Parameter", "PriorTable", "gamma_prior", "log_prior_function", "prior_support", "prior_table"]
+
+Float = NDArray[np.float64]
+
+# Families whose log density compiled code knows, by scipy name. The number is the code in PriorTable.family.
+FAMILIES = {"norm": 0, "gamma": 1, "lognorm": 2, "uniform": 3, "beta": 4, "halfnorm": 5, "expon": 6, "invgamma": 7}
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of a model.
+
+    Attributes
+    ----------
+    name : str
+        As in files and tables, e.g. ``sigma_forward``.
+    unit : str
+        SI unit, "1" for a pure number.
+    prior : scipy.stats frozen distribution
+        Any continuous one.
+    description : str
+        One sentence for people.
+    """
+
+    name: str
+    unit: str
+    prior: Any
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that the prior can be drawn from and evaluated."""
+        if not (hasattr(self.prior, "logpdf") and hasattr(self.prior, "rvs") and hasattr(self.prior, "support")):
+            raise ModelError(
+                f"the prior of {self.name} must be a frozen continuous scipy.stats distribution, "
+                f"but got {type(self.prior).__name__}; write for example scipy.stats.gamma(2, scale=0.05)"
+            )
+
+
+class PriorTable(NamedTuple):
+    """Priors as numbers: family code, two shapes, location, scale and the constant of the log density; (d,) each."""
+
+    family: NDArray[np.int64]
+    shape_a: Float
+    shape_b: Float
+    loc: Float
+    scale: Float
+    constant: Float
+
+
+def gamma_prior(mean: float, shape: float = 2.0) -> Any:
+    """Return the gamma distribution with this mean; shape 2 keeps clear of zero and has a long tail."""
+    return stats.gamma(shape, scale=mean / shape)
+
+
+def prior_support(prior: Any) -> tuple[float, float]:
+    """Return the lowest and highest value that a prior allows."""
+    low, high = prior.support()
+    return float(low), float(high)
+
+
+def _numbers(prior: Any) -> tuple[int, float, float, float, float, float] | None:
+    """Return (family, a, b, loc, scale, constant), or None for a family that compiled code does not know."""
+    name = getattr(getattr(prior, "dist", None), "name", "")
+    if name not in FAMILIES:
+        return None
+    shapes, loc, scale = prior.dist._parse_args(*prior.args, **prior.kwds)
+    a = float(shapes[0]) if len(shapes) > 0 else 0.0
+    b = float(shapes[1]) if len(shapes) > 1 else 0.0
+    constant = {
+        "norm": -_HALF_LOG_2PI,
+        "gamma": -math.lgamma(a) if a > 0 else math.nan,
+        "lognorm": -_HALF_LOG_2PI - math.log(a) if a > 0 else math.nan,
+        "uniform": 0.0,
+        "beta": math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) if min(a, b) > 0 else math.nan,
+        "halfnorm": 0.5 * math.log(2.0 / math.pi),
+        "expon": 0.0,
+        "invgamma": -math.lgamma(a) if a > 0 else math.nan,
+    }[name]
+    return FAMILIES[name], a, b, float(loc), float(scale), constant - math.log(scale)
+
+
+def prior_table(parameters: Sequence[Parameter]) -> PriorTable | None:
+    """Return all priors as one table, or None when one of them is of a family that compiled code does not know."""
+    rows = [_numbers(parameter.prior) for parameter in parameters]
+    known = [row for row in rows if row is not None]
+    if len(known) < len(rows):
+        return None
+    columns = np.array(known, dtype=float).reshape(-1, 6).T
+    return PriorTable(columns[0].astype(np.int64), *(np.ascontiguousarray(column) for column in columns[1:]))
+
+
+def log_prior_function(parameters: Sequence[Parameter]) -> Callable[[Float], float]:
+    """Return a function theta -> log prior density, from scipy itself (for families that compiled code does not know)."""
+    priors = [parameter.prior for parameter in parameters]
+
+    def log_prior(theta: Float) -> float:
+        value = 0.0
+        for prior, x in zip(priors, theta, strict=True):
+            value += float(prior.logpdf(x))
+        return value if not math.isnan(value) else -math.inf
+
+    return log_prior

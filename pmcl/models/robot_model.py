@@ -1,0 +1,241 @@
+"""A robot model: start, motion and sensors together, and the same bound to logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pmcl.errors import LogError, ModelError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.motion import IncrementNoise
+from pmcl.models.parameters import Parameter, PriorTable, log_prior_function, prior_support, prior_table
+from pmcl.models.parts import BoundPart, Float, Int, Part
+from pmcl.models.sensors import LandmarkNoise, RangeNoise
+from pmcl.models.start import StartBelief
+from pmcl.models.tables import Tables
+
+__all__ = ["BoundModel", "RobotModel", "default_model"]
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """What is believed about a robot, before any log.
+
+    Attributes
+    ----------
+    motion : Part
+        E.g. :class:`~pmcl.models.motion.IncrementNoise`.
+    sensors : tuple of Part
+        E.g. :class:`~pmcl.models.sensors.RangeNoise`; readings of different sensors are independent given the path.
+    start : Part
+        Belief about the first state.
+    priors : mapping of str to scipy.stats frozen distribution
+        Replaces default priors, by parameter name.
+    fixed : mapping of str to float
+        Parameters that are known; they are not inferred.
+
+    Raises
+    ------
+    ModelError
+        When `priors` or `fixed` name no parameter of the model, or two parts share a parameter name.
+    """
+
+    motion: Part = field(default_factory=IncrementNoise)
+    sensors: tuple[Part, ...] = ()
+    start: Part = field(default_factory=StartBelief)
+    priors: Mapping[str, object] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        names = [parameter.name for part in self.parts for parameter in part.parameters]
+        if len(set(names)) < len(names):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            raise ModelError(f"parameter names must differ between the parts of a model, but {twice} occur twice; rename one")
+        for what, given in (("priors", self.priors), ("fixed", self.fixed)):
+            unknown = sorted(set(given) - set(names))
+            if unknown:
+                raise ModelError(f"{what} names {unknown}, but the model's parameters are {names}; correct the name")
+        self._check_fixed()
+
+    def _check_fixed(self) -> None:
+        for part in self.parts:
+            for parameter in part.parameters:
+                if parameter.name not in self.fixed:
+                    continue
+                value = float(self.fixed[parameter.name])
+                if parameter.name.startswith("sigma_") and value == 0.0 and "_per_" not in parameter.name:
+                    raise ModelError(
+                        f"{parameter.name} is fixed at 0: without noise in some direction a transition (or reading) has no "
+                        "density and no trajectory can be drawn backward; fix it at a small positive value, e.g. 0.001"
+                    )
+                low, high = prior_support(parameter.prior)
+                if not low <= value <= high:
+                    raise ModelError(
+                        f"{parameter.name} is fixed at {value:g}, outside its range [{low:g}, {high:g}]; choose a value inside"
+                    )
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Start, motion and sensors, in the order of their parameters."""
+        return (self.start, self.motion, *self.sensors)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters to infer, with the priors in force."""
+        return tuple(
+            Parameter(p.name, p.unit, self.priors.get(p.name, p.prior), p.description)
+            for part in self.parts
+            for p in part.parameters
+            if p.name not in self.fixed
+        )
+
+    def bind(self, logs: RobotLog | Sequence[RobotLog]) -> BoundModel:
+        """Prepare for one or several logs of the same robot (one theta, one trajectory for each log).
+
+        Raises
+        ------
+        ModelError, LogError, MapError
+            When a log lacks what the model needs.
+        """
+        logs = (logs,) if isinstance(logs, RobotLog) else tuple(logs)
+        if not logs:
+            raise LogError("expected at least one log, but got none; give a file")
+        return BoundModel(self, logs)
+
+
+@dataclass(frozen=True)
+class _Slots:
+    """Where a part's own parameters come from: theta[index] or, where index is -1, the fixed value."""
+
+    index: Int
+    value: Float
+
+    def take(self, theta: Float) -> Float:
+        return np.where(self.index >= 0, theta[self.index], self.value) if (self.index < 0).any() else theta[self.index]
+
+
+class BoundModel:
+    """A :class:`RobotModel` bound to logs: theta in, coefficient tables and densities out.
+
+    Attributes
+    ----------
+    model : RobotModel
+        The model.
+    logs : tuple of RobotLog
+        The logs.
+    parameters : tuple of Parameter
+        The d free parameters, in the order of theta.
+    priors : PriorTable or None
+        Their priors as arrays; None when one is of a family that compiled code does not know.
+    lengths : tuple of int
+        Number of time steps of each log.
+    parts : tuple of tuple of BoundPart
+        For each log: start, motion, sensors.
+    slots : tuple
+        For each part: where its parameters come from.
+    """
+
+    def __init__(self, model: RobotModel, logs: tuple[RobotLog, ...]) -> None:
+        self.model = model
+        self.logs = logs
+        self.parameters = model.parameters
+        self.priors: PriorTable | None = prior_table(self.parameters)
+        self.lengths = tuple(log.n_steps for log in logs)
+        self.parts: tuple[tuple[BoundPart, ...], ...] = tuple(
+            tuple(part.bind(log) for part in model.parts) for log in logs
+        )
+        self.slots = self._slots()
+        for log in logs:
+            if log.n_readings == 0:
+                raise LogError(f"{log.where}: expected at least one reading, but every one is missing (NaN); nothing can be inferred")
+        self._log_prior: Callable[[Float], float] = log_prior_function(self.parameters)
+        if self.names:
+            self.check(self.prior_mean())
+
+    def _slots(self) -> tuple[_Slots, ...]:
+        position = {parameter.name: k for k, parameter in enumerate(self.parameters)}
+        slots = []
+        for part in self.model.parts:
+            own = [parameter.name for parameter in part.parameters]
+            index = np.array([position.get(name, -1) for name in own], dtype=np.int64)
+            value = np.array([float(self.model.fixed.get(name, math.nan)) for name in own])
+            slots.append(_Slots(index, value))
+        return tuple(slots)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def dimension(self) -> int:
+        """Number of free parameters d."""
+        return len(self.parameters)
+
+    def tables(self, theta: Float) -> tuple[Tables, ...]:
+        """Return the coefficient tables of each log for `theta` (d,)."""
+        own = [slots.take(theta) for slots in self.slots]
+        made = []
+        for parts in self.parts:
+            start, motion, *sensors = (part.table(values) for part, values in zip(parts, own, strict=True))
+            made.append(Tables(start, motion, tuple(sensors)))
+        return tuple(made)
+
+    def log_prior(self, theta: Float) -> float:
+        """Return the log prior density of `theta`; -inf outside its support."""
+        return self._log_prior(theta)
+
+    def prior_mean(self) -> Float:
+        """Return the prior mean of theta, (d,); the median where there is no finite mean."""
+        means = [float(parameter.prior.mean()) for parameter in self.parameters]
+        medians = [float(parameter.prior.median()) for parameter in self.parameters]
+        return np.array([mean if math.isfinite(mean) else median for mean, median in zip(means, medians, strict=True)])
+
+    def draw_prior(self, rng: np.random.Generator) -> Float:
+        """Draw theta from its prior, (d,)."""
+        return np.array([float(parameter.prior.rvs(random_state=rng)) for parameter in self.parameters])
+
+    def check(self, theta: Float) -> None:
+        """Check that `theta` gives a motion that has a transition density in every direction.
+
+        Raises
+        ------
+        ModelError
+            When some standard deviation of the motion is zero, negative or not a number.
+        """
+        for log, tables in zip(self.logs, self.tables(theta), strict=True):
+            std = getattr(tables.motion, "std", None)
+            if std is None:
+                continue
+            bad = np.argwhere(~(np.asarray(std)[1:] > 0.0))
+            if bad.size:
+                t, component = int(bad[0][0]) + 1, int(bad[0][1])
+                direction = ("forward", "left", "turn")[component] if component < 3 else f"component {component}"
+                raise ModelError(
+                    f"{log.where}: the motion model has no noise in direction '{direction}' at row {t} (standard deviation "
+                    f"{float(std[t, component]):g}), so a transition has no density and no trajectory can be drawn backward; "
+                    "give it a small positive noise"
+                )
+
+
+def default_model(log: RobotLog, *, outliers: bool = False) -> RobotModel:
+    """Return the model that fits what a log holds: the paper's motion, Gaussian sensors, the log's own start.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log.
+    outliers : bool
+        Whether readings may be gross errors.
+    """
+    sensors: list[Part] = []
+    if log.ranges is not None:
+        sensors.append(RangeNoise(outliers=outliers))
+    has = [values is not None for values in (log.landmark_range, log.landmark_bearing, log.landmark_size)]
+    if any(has):
+        sensors.append(LandmarkNoise(range=has[0], bearing=has[1], size=has[2], outliers=outliers))
+    return RobotModel(sensors=tuple(sensors))

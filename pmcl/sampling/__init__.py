@@ -1,0 +1,1 @@
+"""Chains of parameters and trajectories, run by emcee."""
