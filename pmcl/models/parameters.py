@@ -106,13 +106,52 @@ def prior_table(parameters: Sequence[Parameter]) -> PriorTable | None:
 
 
 def log_prior_function(parameters: Sequence[Parameter]) -> Callable[[Float], float]:
-    """Return a function theta -> log prior density, from scipy itself (for families that compiled code does not know)."""
-    priors = [parameter.prior for parameter in parameters]
+    """Return a function theta -> log prior density; -inf outside the support.
+
+    Known families are evaluated by their formula (a call of scipy costs 50 microseconds, one of these less than one).
+    """
+    terms = [_log_density(parameter.prior) for parameter in parameters]
 
     def log_prior(theta: Float) -> float:
         value = 0.0
-        for prior, x in zip(priors, theta, strict=True):
-            value += float(prior.logpdf(x))
-        return value if not math.isnan(value) else -math.inf
+        for term, x in zip(terms, theta.tolist(), strict=True):
+            value += term(x)
+            if value == -math.inf:
+                break
+        return value
 
     return log_prior
+
+
+def _log_density(prior: Any) -> Callable[[float], float]:
+    numbers = _numbers(prior)
+    if numbers is None:
+
+        def from_scipy(x: float) -> float:
+            value = float(prior.logpdf(x))
+            return -math.inf if math.isnan(value) else value
+
+        return from_scipy
+    family, a, b, loc, scale, constant = numbers
+
+    def known(x: float) -> float:
+        y = (x - loc) / scale
+        if family == FAMILIES["norm"]:
+            return constant - 0.5 * y * y
+        if not y > 0.0 or (family in _BOUNDED and y >= 1.0):
+            return -math.inf
+        return constant + _FORMULAS[family](y, a, b)
+
+    return known
+
+
+_BOUNDED = (FAMILIES["uniform"], FAMILIES["beta"])
+_FORMULAS: dict[int, Callable[[float, float, float], float]] = {
+    FAMILIES["gamma"]: lambda y, a, b: (a - 1.0) * math.log(y) - y,
+    FAMILIES["lognorm"]: lambda y, a, b: -math.log(y) - 0.5 * (math.log(y) / a) ** 2,
+    FAMILIES["uniform"]: lambda y, a, b: 0.0,
+    FAMILIES["beta"]: lambda y, a, b: (a - 1.0) * math.log(y) + (b - 1.0) * math.log1p(-y),
+    FAMILIES["halfnorm"]: lambda y, a, b: -0.5 * y * y,
+    FAMILIES["expon"]: lambda y, a, b: -y,
+    FAMILIES["invgamma"]: lambda y, a, b: -(a + 1.0) * math.log(y) - 1.0 / y,
+}

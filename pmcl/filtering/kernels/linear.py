@@ -18,11 +18,12 @@ import numpy as np
 
 from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import linearise_start, linearise_transition
+from pmcl.filtering.kernels.smc import joint, work_rows
 from pmcl.filtering.kernels.tuples import sum_information
 
 # mypy: disable-error-code="no-untyped-def"
 
-__all__ = ["carry", "factorise"]
+__all__ = ["carry", "factorise", "transport_trial"]
 
 
 @kernel
@@ -186,3 +187,38 @@ def carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centr
     out = np.empty_like(path)
     _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, np.empty(path.shape[1]))
     return out
+
+
+@entry
+def transport_trial(tables, geometries, reference, path, factor, gain, centre):
+    """Carry a path to another theta and evaluate it there: one call does all the compiled work of a transport move.
+
+    Parameters
+    ----------
+    tables, geometries, reference
+        As for :func:`factorise`, at the proposed theta.
+    path : ndarray, shape (T, D)
+        The current path.
+    factor, gain, centre : ndarray
+        The factorisation at the current theta.
+
+    Returns
+    -------
+    log_joint : float
+        log p(carried path, readings | proposed theta); -inf where the proposal has no factorisation.
+    log_determinant, new_factor, new_gain, new_centre
+        As from :func:`factorise`.
+    carried : ndarray, shape (T, D)
+        The path with its z fixed.
+    """
+    n_steps, size = reference.shape
+    new_factor, new_gain = np.empty((n_steps, size, size)), np.zeros((n_steps, size, size))
+    new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
+    work = np.empty((4 * size + 4, size))
+    log_determinant = _factorise(tables, geometries, reference, new_factor, new_gain, new_centre, work)
+    if log_determinant == -np.inf:
+        return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
+    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work[0])
+    scratch = np.empty((work_rows(tables), 1))
+    log_joint = joint(tables, n_steps, carried, work[0, :0], np.empty((size, 1)), np.empty((size, 1)), scratch)
+    return log_joint, log_determinant, new_factor, new_gain, new_centre, carried

@@ -26,14 +26,25 @@ from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
 
 # mypy: disable-error-code="no-untyped-def"
 
-__all__ = ["ALL_ZERO", "FINE", "NOT_A_NUMBER", "NO_ANCESTOR", "filter_pass", "joint_terms", "sample_backward", "sweep"]
+__all__ = [
+    "ALL_ZERO",
+    "FINE",
+    "NOT_A_NUMBER",
+    "NO_ANCESTOR",
+    "filter_pass",
+    "joint",
+    "joint_terms",
+    "sample_backward",
+    "sweep",
+    "work_rows",
+]
 
 # Outcomes of a pass. They are numbers because compiled loops cannot raise with details.
 FINE, ALL_ZERO, NOT_A_NUMBER, NO_ANCESTOR = 0, 1, 2, 3
 
 
 @kernel
-def _work_rows(tables):
+def work_rows(tables):
     rows = max(scratch_rows(tables.motion), scratch_rows(tables.start))
     return max(rows, most_rows(tables.sensors)) + 2
 
@@ -165,7 +176,7 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
     steps = np.empty((n_steps, 2))
     status, t, log_evidence = _forward(
         tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), particles, log_weights, steps,
-        np.empty(n, np.int64), np.empty((size, n)), np.empty((_work_rows(tables), n)),
+        np.empty(n, np.int64), np.empty((size, n)), np.empty((work_rows(tables), n)),
     )  # fmt: skip
     return status, t, log_evidence, particles, log_weights, steps
 
@@ -176,7 +187,7 @@ def sample_backward(tables, rng, particles, log_weights, n_paths):
     n_steps, size = particles.shape[0], particles.shape[1]
     n = particles.shape[2]
     paths = np.zeros((n_paths, n_steps, size))
-    replicated, scratch = np.empty((size, n)), np.empty((_work_rows(tables), n))
+    replicated, scratch = np.empty((size, n)), np.empty((work_rows(tables), n))
     for k in range(n_paths):
         status, t, _ = _backward(tables, rng, n_steps, particles, log_weights, paths[k], replicated, scratch)
         if status != FINE:
@@ -194,7 +205,7 @@ def sweep(tables, rng, n_steps, n, conditional, path):
     size = path.shape[1]
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
     steps, previous = np.empty((n_steps, 2)), np.empty((size, n))
-    scratch = np.empty((_work_rows(tables), n))
+    scratch = np.empty((work_rows(tables), n))
     status, t, log_evidence = _forward(
         tables, rng, n_steps, MULTINOMIAL, 1.0, conditional, path, particles, log_weights, steps,
         np.empty(n, np.int64), previous, scratch,
@@ -215,7 +226,7 @@ def sweep(tables, rng, n_steps, n, conditional, path):
 
 
 @kernel
-def _joint(tables, n_steps, path, out, current, previous, scratch):
+def joint(tables, n_steps, path, out, current, previous, scratch):
     """Add up log p(path, readings | theta) over the first `n_steps` rows; see :func:`joint_terms`."""
     size = path.shape[1]
     logp = scratch[0]
@@ -243,5 +254,5 @@ def _joint(tables, n_steps, path, out, current, previous, scratch):
 def joint_terms(tables, path, out):
     """Return log p(path, readings | theta) (eq. 16 without the prior) and write each row's share into `out` (T,) unless it is empty."""
     size = path.shape[1]
-    scratch = np.empty((_work_rows(tables), 1))
-    return _joint(tables, path.shape[0], path, out, np.empty((size, 1)), np.empty((size, 1)), scratch)
+    scratch = np.empty((work_rows(tables), 1))
+    return joint(tables, path.shape[0], path, out, np.empty((size, 1)), np.empty((size, 1)), scratch)

@@ -1,0 +1,100 @@
+"""The Metropolis block of Table 1: theta given the trajectories, one dimension at a time (eq. 17)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.filtering.kernels.metropolis import metropolis_block
+from pmcl.filtering.particle_filter import log_joint
+from pmcl.filtering.statistics import trajectory_statistics
+from pmcl.models.robot_model import BoundModel
+from pmcl.models.tables import Tables
+
+__all__ = ["TARGET_ACCEPTANCE", "update_theta"]
+
+Float = NDArray[np.float64]
+
+# Best acceptance of a one-dimensional Gaussian random walk (Roberts, Gelman, Gilks 1997).
+TARGET_ACCEPTANCE = 0.44
+
+
+def update_theta(
+    bound: BoundModel,
+    theta: Float,
+    tables: Sequence[Tables],
+    paths: Sequence[Float],
+    log_step: Float,
+    n_sweeps: int,
+    gain: float,
+    rng: np.random.Generator,
+) -> tuple[Float, Float, Float]:
+    """Draw theta given the trajectories by `n_sweeps` rounds of one-dimensional random walks.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    theta : ndarray, shape (d,)
+        Current parameters.
+    tables : sequence of Tables
+        Coefficients of each log at `theta`.
+    paths : sequence of ndarray, shape (l, D)
+        Trajectories over the rows included.
+    log_step : ndarray, shape (d,)
+        Logs of the proposals' standard deviations.
+    n_sweeps : int
+        The paper's m.
+    gain : float
+        Adaptation during burn-in; 0 freezes the steps.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    theta, log_step, accepted : ndarray, shape (d,)
+        New arrays. Cost: O(readings) once, then O(d) for each round where sums of squares suffice.
+    """
+    theta, log_step, accepted = theta.copy(), log_step.copy(), np.zeros(theta.size)
+    if n_sweeps == 0:
+        return theta, log_step, accepted
+    statistics = trajectory_statistics(bound, theta, tables, paths)
+    if statistics is not None and bound.priors is not None:
+        metropolis_block(rng, theta, log_step, n_sweeps, gain, TARGET_ACCEPTANCE, bound.priors, statistics, accepted)
+        return theta, log_step, accepted
+
+    def log_density(trial: Float) -> float:
+        prior = bound.log_prior(trial)
+        if prior == -math.inf:
+            return prior
+        parts = (log_joint(table, path) for table, path in zip(bound.tables(trial), paths, strict=True))
+        return prior + math.fsum(parts)
+
+    _random_walk(log_density, theta, log_step, n_sweeps, gain, rng, accepted)
+    return theta, log_step, accepted
+
+
+def _random_walk(
+    log_density: Callable[[Float], float],
+    theta: Float,
+    log_step: Float,
+    n_sweeps: int,
+    gain: float,
+    rng: np.random.Generator,
+    accepted: Float,
+) -> None:
+    """Do the same as the compiled block with any log density; all arrays change in place."""
+    current = log_density(theta)
+    for _ in range(n_sweeps):
+        for k in range(theta.size):
+            trial = theta.copy()
+            trial[k] += math.exp(log_step[k]) * rng.standard_normal()
+            value = log_density(trial)
+            yes = math.log(rng.random()) < value - current
+            if yes:
+                theta[k], current = trial[k], value
+                accepted[k] += 1.0 / n_sweeps
+            log_step[k] += gain * (float(yes) - TARGET_ACCEPTANCE)

@@ -1,0 +1,91 @@
+"""Particle Gibbs as an emcee move: every walker is a chain of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from emcee.moves import Move
+from emcee.state import State
+
+from pmcl.models.robot_model import BoundModel
+from pmcl.sampling.state import blob_dtype, from_blob, into_blob, state_dimension
+from pmcl.sampling.sweep import SweepSettings, step
+from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.transport import Transport
+
+__all__ = ["ParticleGibbsMove"]
+
+
+class ParticleGibbsMove(Move):  # type: ignore[misc]
+    """Table 1 of Kaboli, Bowling, Musilek (2006) for every walker of an emcee ensemble.
+
+    The trajectory and the tuning of a walker travel in its blob, and all randomness comes from seeds that emcee's own
+    generator gives out, one per walker and step: what happens does not depend on the pool, and an
+    emcee backend holds everything that a resumed run needs.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    kernel, particles, metropolis_steps, transport_moves, sweeps, data_rate, gain
+        See :class:`~pmcl.sampling.sweep.SweepSettings`.
+    transports : sequence of Transport or None, optional
+        A frozen linearisation for each walker; without it there are no transport moves.
+
+    Notes
+    -----
+    A sweep is one move: emcee chooses at random among several moves, which would break the order of Gibbs blocks.
+    Start the sampler from a State with log_prob and blobs, see :func:`pmcl.sampling.sweep.start_chain`.
+    """
+
+    def __init__(
+        self,
+        bound: BoundModel,
+        *,
+        transports: Sequence[Transport | None] | None = None,
+        **settings: Any,
+    ) -> None:
+        self.bound = bound
+        self.settings = SweepSettings(**settings)
+        self.transports = transports
+        self.transform = Unconstrained(bound.parameters)
+        self.dtype = blob_dtype(bound, state_dimension(bound))
+
+    def update(self, walker: tuple[int, Any, float, Any, int]) -> tuple[Any, float, Any]:
+        """Return (theta, log_prob, blob) of one walker after one step, given (number, theta, log_prob, blob, seed)."""
+        number, theta, log_prob, blob, seed = walker
+        transport = self.transports[number] if self.transports is not None else None
+        state = from_blob(theta, log_prob, blob)
+        new = step(self.bound, self.settings, transport, self.transform, state, seed)
+        return new.theta, new.log_joint, into_blob(new, self.dtype)
+
+    def propose(self, model: Any, state: State) -> tuple[State, Any]:
+        """Advance all walkers by one step.
+
+        Parameters
+        ----------
+        model : emcee.model.Model
+            Its `map_fn` runs the walkers, its `random` seeds them.
+        state : emcee.State
+            With log_prob and blobs.
+
+        Returns
+        -------
+        state : emcee.State
+            The new state.
+        accepted : ndarray of bool, shape (K,)
+            Whether theta changed.
+        """
+        n_walkers = state.coords.shape[0]
+        seeds = model.random.randint(0, 2**62, size=n_walkers, dtype=np.int64)
+        work = [
+            (k, state.coords[k], float(state.log_prob[k]), state.blobs[k], int(seeds[k])) for k in range(n_walkers)
+        ]
+        results = list(model.map_fn(self.update, work))
+        coords = np.array([result[0] for result in results])
+        blobs = np.array([result[2] for result in results], dtype=self.dtype)
+        accepted = np.any(coords != state.coords, axis=1)
+        log_prob = np.array([result[1] for result in results])
+        return State(coords, log_prob=log_prob, blobs=blobs, random_state=model.random.get_state()), accepted

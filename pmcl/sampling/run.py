@@ -1,0 +1,201 @@
+"""Run the chains with emcee: particle Gibbs in stages, or an ensemble on the pseudo-marginal target."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import emcee
+import numpy as np
+from emcee.state import State
+from numpy.typing import NDArray
+
+from pmcl.models.robot_model import BoundModel
+from pmcl.sampling.backends import CheckpointBackend, MemoryBackend, StageBackend
+from pmcl.sampling.chains import Chains
+from pmcl.sampling.checkpoint import check_fingerprint, fingerprint, stored_steps
+from pmcl.sampling.move import ParticleGibbsMove
+from pmcl.sampling.stages import Plan, Stage, lost_chains, plan_stages, restarted, tuned_transports
+from pmcl.sampling.state import into_blob
+from pmcl.sampling.sweep import included, start_chain
+from pmcl.sampling.transport import Transport
+
+__all__ = ["run_particle_gibbs", "walker_pool"]
+
+_logger = logging.getLogger("pmcl.sampling")
+Float = NDArray[np.float64]
+_STATISTICS = ("accepted", "transported", "log_evidence", "effective_size", "changed")
+
+
+@contextmanager
+def walker_pool(pool: Any, n_walkers: int) -> Iterator[Any]:
+    """Yield the pool that runs the walkers: the caller's own, or threads (the kernels run without the interpreter's lock)."""
+    if pool is not None:
+        yield pool
+        return
+    threads = min(n_walkers, os.cpu_count() or 1)
+    if threads == 1:
+        yield None
+        return
+    with ThreadPoolExecutor(threads) as executor:
+        yield executor
+
+
+def _forbidden(theta: Float) -> float:
+    raise AssertionError("the particle Gibbs move evaluates its own density")
+
+
+def _first_state(bound: BoundModel, stage: Stage, n_chains: int, seed: int, pool: Any) -> tuple[State, int]:
+    """Start every chain from its own seed; return emcee's state and how many impossible draws there were."""
+    seeds = np.random.SeedSequence(seed).generate_state(n_chains, dtype=np.uint64)
+    run = pool.map if pool is not None else map
+    started = list(run(_Starter(bound, stage), [int(s) for s in seeds]))
+    move = ParticleGibbsMove(bound)
+    redrawn = sum(count for _, count in started)
+    if redrawn:
+        _logger.warning("%d draws of theta from the prior could not explain the first rows at all and were drawn again", redrawn)
+    states = [state for state, _ in started]
+    blobs = np.array([into_blob(state, move.dtype) for state in states], dtype=move.dtype)
+    random_state = np.random.RandomState(seed % 2**32).get_state()
+    coords = np.array([state.theta for state in states])
+    log_prob = np.array([state.log_joint for state in states])
+    return State(coords, log_prob=log_prob, blobs=blobs, random_state=random_state), redrawn
+
+
+class _Starter:
+    """A picklable function seed -> first state."""
+
+    def __init__(self, bound: BoundModel, stage: Stage) -> None:
+        self.bound, self.stage = bound, stage
+
+    def __call__(self, seed: int) -> Any:
+        return start_chain(self.bound, self.stage.settings, seed)
+
+
+def run_particle_gibbs(
+    bound: BoundModel,
+    plan: Plan,
+    n_chains: int,
+    seed: int,
+    *,
+    pool: Any = None,
+    checkpoint: str | None = None,
+    resume: bool = False,
+    progress: bool = False,
+    settings: dict[str, Any] | None = None,
+) -> Chains:
+    """Calibrate by particle Gibbs (Table 1 of the paper).
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    plan : Plan
+        Sizes of the stages.
+    n_chains : int
+        Number of chains K.
+    seed : int
+        All randomness follows from it, whatever the pool.
+    pool : object with a `map` method, optional
+        Runs the chains of each step; threads on all cores when left out.
+    checkpoint : str, optional
+        HDF5 file that every step is written to.
+    resume : bool
+        Continue an existing checkpoint; the result is that of an uninterrupted run.
+    progress : bool
+        Show emcee's progress bars.
+    settings : dict, optional
+        Further attributes of the result.
+
+    Returns
+    -------
+    Chains
+
+    Raises
+    ------
+    SamplingError, FilterError
+        When a chain cannot start, the filter meets a density that is not a number, or the checkpoint does not fit.
+    """
+    longest = max(bound.lengths)
+    told = {"method": "particle-gibbs", "chains": n_chains, "seed": seed, **_plan_settings(plan)}
+    if checkpoint is not None:
+        check_fingerprint(checkpoint, fingerprint(bound, told), resume=resume)
+    stages = plan_stages(plan, longest)
+    transports: list[Transport | None] | None = None
+    restarts, redrawn = 0, 0
+    state: State | None = None
+    backends: list[StageBackend] = []
+    with walker_pool(pool, n_chains) as workers:
+        for stage in stages:
+            backend: StageBackend = MemoryBackend(stage.keep_every)
+            done = 0
+            if checkpoint is not None:
+                done = stored_steps(checkpoint, stage.name)
+                backend = CheckpointBackend(checkpoint, stage.name, stage.keep_every)
+            if state is None and not done:
+                state, redrawn = _first_state(bound, stage, n_chains, seed, workers)
+            move = ParticleGibbsMove(bound, transports=transports, **_settings_of(stage))
+            sampler = emcee.EnsembleSampler(
+                n_chains, bound.dimension, _forbidden, pool=workers, moves=[move], backend=backend
+            )
+            if done:
+                state = backend.get_last_sample()
+            if done < stage.steps:
+                state = sampler.run_mcmc(
+                    state,
+                    stage.steps - done,
+                    progress=progress,
+                    progress_kwargs={"desc": f"{stage.name:<9}"},
+                    skip_initial_state_check=True,
+                )
+            backends.append(backend)
+            if stage is stages[-1]:
+                break
+            lost = lost_chains(backend, stage, longest)
+            restarts += len(lost)
+            assert state is not None
+            state = restarted(state, lost)
+            if plan.transport_moves:
+                transports = tuned_transports(bound, backend, stage, lost)
+                if any(transport is None for transport in transports):
+                    _logger.warning("the model offers no usable linearisation at the mean trajectory: no transport moves")
+    told |= {"restarted_chains": restarts, "impossible_starts": redrawn, **(settings or {})}
+    return _collect(bound, backends, stages, told)
+
+
+def _settings_of(stage: Stage) -> dict[str, Any]:
+    return dict(vars(stage.settings))
+
+
+def _plan_settings(plan: Plan) -> dict[str, Any]:
+    return {name: value if not isinstance(value, tuple) else str(value) for name, value in vars(plan).items()}
+
+
+def _collect(
+    bound: BoundModel, backends: Sequence[StageBackend], stages: Sequence[Stage], told: dict[str, Any]
+) -> Chains:
+    """Put the backends' arrays, which have the step first, into chains."""
+    final = backends[-1]
+    blobs = final.get_blobs()
+    statistics = {name: np.moveaxis(np.asarray(blobs[name], dtype=float), 0, 1) for name in _STATISTICS}
+    paths = np.moveaxis(final.kept_paths(), 0, 1)
+    split = included(bound, np.moveaxis(paths, 2, 0), max(bound.lengths))
+    told["dead_sweeps"] = int(blobs["dead"][-1].sum())
+    warm_theta = np.concatenate([backend.get_chain() for backend in backends[:-1]])
+    warm_joint = np.concatenate([backend.get_log_prob() for backend in backends[:-1]])
+    return Chains(
+        names=bound.names,
+        units=tuple(parameter.unit for parameter in bound.parameters),
+        theta=np.moveaxis(final.get_chain(), 0, 1),
+        log_joint=np.moveaxis(final.get_log_prob(), 0, 1),
+        statistics=statistics,
+        trajectories=tuple(np.moveaxis(part, 0, 2) for part in split),
+        trajectory_draw=np.arange(paths.shape[1], dtype=np.int64) * stages[-1].keep_every,
+        warmup_theta=np.moveaxis(warm_theta, 0, 1),
+        warmup_log_joint=np.moveaxis(warm_joint, 0, 1),
+        settings=told,
+    )

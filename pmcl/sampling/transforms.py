@@ -1,0 +1,55 @@
+"""Parameters on the whole real line, where a Gaussian proposal in all dimensions fits them better."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.models.parameters import Parameter, prior_support
+
+__all__ = ["Unconstrained"]
+
+Float = NDArray[np.float64]
+_LINE, _HALF, _INTERVAL = 0, 1, 2
+
+
+class Unconstrained:
+    """The map u <-> theta: logarithm for a half line, logit for an interval, identity otherwise.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        Their priors' supports choose the maps.
+    """
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        supports = [prior_support(parameter.prior) for parameter in parameters]
+        self.low = np.array([low for low, _ in supports])
+        self.high = np.array([high for _, high in supports])
+        self.kind = np.where(np.isinf(self.low), _LINE, np.where(np.isinf(self.high), _HALF, _INTERVAL))
+
+    def to_line(self, theta: Float) -> Float:
+        """Return u for theta, both (..., d)."""
+        u = np.array(theta, dtype=float)
+        half, interval = self.kind == _HALF, self.kind == _INTERVAL
+        u[..., half] = np.log(theta[..., half] - self.low[half])
+        share = (theta[..., interval] - self.low[interval]) / (self.high - self.low)[interval]
+        u[..., interval] = np.log(share) - np.log1p(-share)
+        return u
+
+    def from_line(self, u: Float) -> tuple[Float, float]:
+        """Return theta (d,) and the log of |d theta / d u| for u (d,)."""
+        theta = u.copy()
+        log_jacobian = 0.0
+        for k in range(u.size):
+            if self.kind[k] == _HALF:
+                theta[k] = self.low[k] + math.exp(min(u[k], 700.0))
+                log_jacobian += u[k]
+            elif self.kind[k] == _INTERVAL:
+                width = self.high[k] - self.low[k]
+                theta[k] = self.low[k] + width / (1.0 + math.exp(-max(min(u[k], 700.0), -700.0)))
+                log_jacobian += math.log(width) - abs(u[k]) - 2.0 * math.log1p(math.exp(-abs(u[k])))
+        return theta, log_jacobian
