@@ -19,8 +19,6 @@ __all__ = ["FilterPass", "SweepInfo", "draw_paths", "log_joint", "make_rng", "ru
 Float = NDArray[np.float64]
 Kernel = Literal["smoothing", "conditional"]
 
-_NOTHING = np.empty(0)
-
 
 def make_rng(seed: int | np.random.SeedSequence | None = None) -> np.random.Generator:
     """Return the generator that the kernels take: SFC64, fast and of good quality."""
@@ -203,4 +201,4 @@ def sweep_path(
 
 def log_joint(tables: Tables, path: Float) -> float:
     """Return log p(path, readings | theta) of a path (T, D) over its own T rows: eq. 16 without the prior of theta."""
-    return float(smc.joint_terms(tables, path, _NOTHING))
+    return float(smc.joint_terms(tables, path)[0])

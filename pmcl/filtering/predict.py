@@ -67,14 +67,10 @@ def beam_lengths(table: RangeBeams, path: Float) -> Float:
 
 @ideal_readings.register
 def _(table: LandmarkSightings, path: Float) -> Float:
-    time = _sighting_times(table, path.shape[0])
+    time = table.time[: table.first[path.shape[0]]]
     n = time.size
     ahead, aside = _relative(table, path, time)
     return np.stack([np.hypot(ahead, aside), np.arctan2(aside, ahead) - table.sensor_pose[2]], axis=-1).reshape(n, 2)
-
-
-def _sighting_times(table: LandmarkSightings, n_steps: int) -> NDArray[np.int64]:
-    return np.repeat(np.arange(n_steps), np.diff(table.first[: n_steps + 1]))
 
 
 def _relative(table: LandmarkSightings, path: Float, time: NDArray[np.int64]) -> tuple[Float, Float]:
@@ -131,7 +127,7 @@ def _(table: RangeBeams, reference: Float) -> ReadingGeometry:
 @reading_geometry.register
 def _(table: LandmarkSightings, reference: Float) -> ReadingGeometry:
     n_steps, size = reference.shape
-    time = _sighting_times(table, n_steps)
+    time = table.time[: table.first[n_steps]]
     which = table.landmark[: time.size]
     ahead, aside = _relative(table, reference, time)
     distance = np.maximum(np.hypot(ahead, aside), 1e-9)

@@ -162,6 +162,7 @@ class LandmarkNoise:
         zeros, ones = np.zeros(n_landmarks), np.ones(n_landmarks)
         table = LandmarkSightings(
             first=np.searchsorted(time, np.arange(log.n_steps + 1)).astype(np.int64),
+            time=time.astype(np.int64),
             landmark=landmark.astype(np.int64),
             range=columns[0],
             bearing=columns[1],

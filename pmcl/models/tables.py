@@ -112,8 +112,8 @@ class LandmarkSightings(NamedTuple):
     ----------
     first : ndarray of int, shape (T + 1,)
         Sightings of time t are ``first[t] : first[t + 1]``.
-    landmark : ndarray of int, shape (N,)
-        Which landmark was seen.
+    time, landmark : ndarray of int, shape (N,)
+        When and which landmark was seen; sorted by time.
     range, bearing, size : ndarray, shape (N,)
         Distance [m], bearing in the sensor frame [rad], size [pixel].
     position : ndarray, shape (J, 2)
@@ -125,7 +125,8 @@ class LandmarkSightings(NamedTuple):
     bearing_bias, bearing_std : ndarray, shape (J,)
         [rad].
     size_constant, size_std : ndarray, shape (J,)
-        Pixels at one metre (ideal size = constant / distance^2, an area); standard deviation of the ratio observed / ideal [1].
+        Pixels at one metre (ideal size = constant / distance^2, an area); standard deviation of the ratio observed /
+        ideal [1].
     outlier_weight : ndarray, shape (J,)
         Probability that a sighting is a gross error: distance uniform on [0, max_range], bearing uniform on the circle.
     max_range : float
@@ -133,6 +134,7 @@ class LandmarkSightings(NamedTuple):
     """
 
     first: Int
+    time: Int
     landmark: Int
     range: Float
     bearing: Float

@@ -132,6 +132,7 @@ def generic(prototype: Callable[..., Any]) -> Any:
     callable
         With the attribute ``register(TableType, allocates=True)``, a decorator for implementations: plain
         functions that numba can compile; those that make no arrays say ``allocates=False`` and run faster.
+        An implementation for ``object`` serves all types that have none of their own.
         From Python the call goes to the implementation uncompiled.
     """
     implementations: dict[type, Callable[..., Any]] = {}
@@ -139,7 +140,7 @@ def generic(prototype: Callable[..., Any]) -> Any:
     @functools.wraps(prototype)
     def dispatch(*arguments: Any) -> Any:
         try:
-            implementation = implementations[type(arguments[0])]
+            implementation = implementations.get(type(arguments[0])) or implementations[object]
         except KeyError:
             known = ", ".join(sorted(kind.__name__ for kind in implementations))
             raise TypeError(
@@ -159,8 +160,10 @@ def generic(prototype: Callable[..., Any]) -> Any:
             _remember_source(implementation)
 
             def choose(table: Any) -> Callable[..., Any] | None:
-                named = isinstance(table, types.NamedTuple | types.NamedUniTuple)
-                if named and table.instance_class is table_type:
+                if not isinstance(table, types.NamedTuple | types.NamedUniTuple):
+                    return None
+                kind = table.instance_class
+                if kind is table_type or (table_type is object and kind not in implementations):
                     return implementations[table_type]
                 return None
 

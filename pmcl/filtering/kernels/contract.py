@@ -17,6 +17,8 @@ __all__ = [
     "linearise_start",
     "linearise_transition",
     "looks_back",
+    "path_reading_logpdf",
+    "path_transition_logpdf",
     "propagate",
     "reading_logpdf",
     "scratch_rows",
@@ -100,3 +102,47 @@ def linear_information(sensor, geometry, t, precision, shift):
     `geometry` is what the sensor's Python side prepared at the reference trajectory: see
     :mod:`pmcl.filtering.kernels.geometry`.
     """
+
+
+@generic
+def path_transition_logpdf(motion, n_steps, path, logp, scratch):
+    """Add log p(path[:, t] | path[:, t - 1]) to ``logp[t]`` for t = 1 ... n_steps - 1; `path` is (D, T).
+
+    Optional: by default each row is evaluated by itself. `scratch` has T columns here.
+    """
+
+
+@generic
+def path_reading_logpdf(sensor, n_steps, path, logp, scratch):
+    """Add the log density of the readings at each row of one trajectory `path` (D, T) to ``logp[t]``.
+
+    Optional: by default each row is evaluated by itself. `scratch` has T columns here.
+    """
+
+
+@path_transition_logpdf.register(object, allocates=False)
+def _transition_row_by_row(motion, n_steps, path, logp, scratch):
+    size = path.shape[0]
+    before, after, value = scratch[0, : size], scratch[1, : size], scratch[2, :1]
+    work = scratch[3:]
+    for t in range(1, n_steps):
+        for d in range(size):
+            before[d], after[d] = path[d, t - 1], path[d, t]
+        value[0] = 0.0
+        transition_logpdf(motion, t, before.reshape(size, 1), after, value, work)
+        logp[t] += value[0]
+
+
+@path_reading_logpdf.register(object, allocates=False)
+def _readings_row_by_row(sensor, n_steps, path, logp, scratch):
+    size = path.shape[0]
+    before, now, value = scratch[0, : size], scratch[1, : size], scratch[2, :1]
+    work = scratch[3:]
+    for t in range(n_steps):
+        if not has_reading(sensor, t):
+            continue
+        for d in range(size):
+            before[d], now[d] = path[d, max(t - 1, 0)], path[d, t]
+        value[0] = 0.0
+        reading_logpdf(sensor, t, before.reshape(size, 1), now.reshape(size, 1), value, work)
+        logp[t] += value[0]

@@ -8,6 +8,7 @@ from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
     looks_back,
+    path_reading_logpdf,
     reading_logpdf,
     scratch_rows,
 )
@@ -103,6 +104,49 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             log_into(angle, work)
             for i in range(n):
                 logp[i] += work[i]
+
+
+@path_reading_logpdf.register(LandmarkSightings, allocates=False)
+def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
+    sine, cosine = scratch[0], scratch[1]
+    sincos_into(path[2], sine, cosine)
+    time, landmark, position = sensor.time, sensor.landmark, sensor.position
+    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    ranges, bearings, sizes, shares = sensor.range, sensor.bearing, sensor.size, sensor.outlier_weight
+    range_scale, range_bias, range_std = sensor.range_scale, sensor.range_bias, sensor.range_std
+    bearing_bias, bearing_std = sensor.bearing_bias, sensor.bearing_std
+    size_constant, size_std = sensor.size_constant, sensor.size_std
+    log_max_range = math.log(sensor.max_range)
+    x, y = path[0], path[1]
+    for k in range(sensor.first[n_steps]):
+        t, j = time[k], landmark[k]
+        c, s = cosine[t], sine[t]
+        dx, dy = position[j, 0] - x[t], position[j, 1] - y[t]
+        ahead, aside = dx * c + dy * s - mount_x, dy * c - dx * s - mount_y
+        square = ahead * ahead + aside * aside
+        # Products of standard deviations are gathered so that one logarithm serves all channels.
+        value, scale, outlier = 0.0, 1.0, 0.0
+        if not math.isnan(ranges[k]):
+            r = (ranges[k] - range_bias[j] - range_scale[j] * math.sqrt(square)) / range_std[j]
+            value -= 0.5 * r * r + _HALF_LOG_2PI
+            scale *= range_std[j]
+            outlier -= log_max_range
+        if not math.isnan(sizes[k]):
+            ideal = size_constant[j] / square
+            r = (sizes[k] / ideal - 1.0) / size_std[j]
+            value -= 0.5 * r * r + _HALF_LOG_2PI
+            scale *= size_std[j] * ideal
+            outlier -= math.log(size_constant[j])
+        if not math.isnan(bearings[k]):
+            angle = bearings[k] - bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)
+            r = (angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)) / bearing_std[j]
+            value -= 0.5 * r * r + _HALF_LOG_2PI
+            scale *= bearing_std[j]
+            outlier -= _LOG_2PI
+        value -= math.log(scale)
+        if shares[j] > 0.0:
+            value = math.log((1.0 - shares[j]) * math.exp(value) + shares[j] * math.exp(outlier))
+        logp[t] += value
 
 
 @linear_information.register(LandmarkSightings, allocates=False)

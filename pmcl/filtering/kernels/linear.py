@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from pmcl.filtering.kernels.compile import entry, kernel
-from pmcl.filtering.kernels.contract import linearise_start, linearise_transition
+from pmcl.filtering.kernels.contract import linearise_start, linearise_transition, state_size
 from pmcl.filtering.kernels.smc import joint, work_rows
 from pmcl.filtering.kernels.tuples import sum_information
 
@@ -58,7 +58,8 @@ def _solve(factor, size, b):
 
 @kernel
 def _factorise(tables, geometries, reference, factor, gain, centre, work):
-    n_steps, size = reference.shape
+    n_steps = reference.shape[0]
+    size = state_size(tables.motion)  # a constant after inlining, so that the small loops are unrolled
     jacobian, noise_precision = work[0:size], work[size : 2 * size]
     information, weighted = work[2 * size : 3 * size], work[3 * size : 4 * size]
     offset, shift, column, shifted = work[4 * size], work[4 * size + 1], work[4 * size + 2], work[4 * size + 3]
@@ -155,9 +156,8 @@ def factorise(tables, geometries, reference):
 
 
 @kernel
-def _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, work):
-    n_steps, size = path.shape
-    z = work
+def _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, z, size):
+    n_steps = path.shape[0]
     for t in range(n_steps - 1, -1, -1):
         for i in range(size):
             z[i] = path[t, i] - reference[t, i] - centre[t, i]
@@ -185,7 +185,7 @@ def _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_cent
 def carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
     """Return the path (T, D) that has the same z under the new factorisation as `path` has under the old one."""
     out = np.empty_like(path)
-    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, np.empty(path.shape[1]))
+    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, np.empty(path.shape[1]), path.shape[1])
     return out
 
 
@@ -211,14 +211,16 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
     carried : ndarray, shape (T, D)
         The path with its z fixed.
     """
-    n_steps, size = reference.shape
+    n_steps, size = reference.shape[0], state_size(tables.motion)
     new_factor, new_gain = np.empty((n_steps, size, size)), np.zeros((n_steps, size, size))
     new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
-    work = np.empty((4 * size + 4, size))
+    work, columns = np.empty((4 * size + 4, size)), np.empty((size, n_steps))
     log_determinant = _factorise(tables, geometries, reference, new_factor, new_gain, new_centre, work)
     if log_determinant == -np.inf:
         return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
-    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work[0])
-    scratch = np.empty((work_rows(tables), 1))
-    log_joint = joint(tables, n_steps, carried, work[0, :0], np.empty((size, 1)), np.empty((size, 1)), scratch)
+    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work[0], size)
+    for t in range(n_steps):
+        for d in range(size):
+            columns[d, t] = carried[t, d]
+    log_joint = joint(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
     return log_joint, log_determinant, new_factor, new_gain, new_centre, carried

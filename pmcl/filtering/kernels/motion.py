@@ -6,6 +6,7 @@ import math
 
 from pmcl.filtering.kernels.contract import (
     linearise_transition,
+    path_transition_logpdf,
     propagate,
     scratch_rows,
     state_size,
@@ -70,6 +71,21 @@ def _transition_logpdf(motion, t, previous, current, logp, scratch):
         g = (dy * cosine[i] - dx * sine[i] - mean_left) * w_left
         h = (heading - before_heading[i] - mean_turn) * w_turn
         logp[i] += constant - 0.5 * (f * f + g * g + h * h)
+
+
+@path_transition_logpdf.register(IncrementMotion, allocates=False)
+def _path_transition_logpdf(motion, n_steps, path, logp, scratch):
+    sine, cosine = scratch[0], scratch[1]
+    x, y, heading = path[0], path[1], path[2]
+    sincos_into(heading, sine, cosine)
+    mean, std = motion.mean, motion.std
+    for t in range(1, n_steps):
+        dx, dy = x[t] - x[t - 1], y[t] - y[t - 1]
+        c, s = cosine[t - 1], sine[t - 1]
+        f = (dx * c + dy * s - mean[t, 0]) / std[t, 0]
+        g = (dy * c - dx * s - mean[t, 1]) / std[t, 1]
+        h = (heading[t] - heading[t - 1] - mean[t, 2]) / std[t, 2]
+        logp[t] -= 1.5 * _LOG_2PI + math.log(std[t, 0] * std[t, 1] * std[t, 2]) + 0.5 * (f * f + g * g + h * h)
 
 
 @linearise_transition.register(IncrementMotion, allocates=False)

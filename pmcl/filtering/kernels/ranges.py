@@ -11,6 +11,7 @@ from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
     looks_back,
+    path_reading_logpdf,
     reading_logpdf,
     scratch_rows,
 )
@@ -22,6 +23,8 @@ from pmcl.models.tables import RangeBeams
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _FIXED_ROWS = 8
+# A ray that meets nothing has length inf; this many times the longest reading stands for it.
+_FAR = 2.0
 
 
 @scratch_rows.register(RangeBeams, allocates=False)
@@ -48,8 +51,7 @@ def beam_logpdf(z, inverse_length, bias, scale, std, outlier_weight, max_range, 
     n = logp.size
     clipped_low, clipped_high = z <= 0.0, z >= max_range
     weight = 1.0 / std
-    # A ray that meets nothing has length inf; twice the longest reading stands for it.
-    far = 2.0 * max_range
+    far = _FAR * max_range
     constant = math.log(weight) - _HALF_LOG_2PI
     if not (clipped_low or clipped_high or outlier_weight > 0.0):
         shifted = (z - bias) * weight
@@ -59,14 +61,7 @@ def beam_logpdf(z, inverse_length, bias, scale, std, outlier_weight, max_range, 
             logp[i] += constant - 0.5 * r * r
         return
     for i in range(n):
-        expected = min(scale / inverse_length[i] + bias, far)
-        if clipped_low:
-            work[i] = log_normal_tail(expected * weight)
-        elif clipped_high:
-            work[i] = log_normal_tail((max_range - expected) * weight)
-        else:
-            r = (z - expected) * weight
-            work[i] = constant - 0.5 * r * r
+        work[i] = inlier_logpdf(z, min(scale / inverse_length[i] + bias, far), weight, max_range)
     if outlier_weight > 0.0:
         # A clipped reading has no share of the uniform density: outliers lie strictly inside.
         floor = 0.0 if clipped_low or clipped_high else outlier_weight / max_range
@@ -76,6 +71,17 @@ def beam_logpdf(z, inverse_length, bias, scale, std, outlier_weight, max_range, 
         log_into(mixture, work)
     for i in range(n):
         logp[i] += work[i]
+
+
+@kernel
+def inlier_logpdf(z, expected, weight, max_range):
+    """Return the log density of one reading around `expected` [m]; `weight` is 1 / std."""
+    if z <= 0.0:
+        return log_normal_tail(expected * weight)
+    if z >= max_range:
+        return log_normal_tail((max_range - expected) * weight)
+    r = (z - expected) * weight
+    return math.log(weight) - _HALF_LOG_2PI - 0.5 * r * r
 
 
 @kernel
@@ -124,6 +130,35 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             z, best, sensor.bias[beam], sensor.scale[beam], sensor.std[beam],
             sensor.outlier_weight[beam], sensor.max_range, logp, work, scratch[0],
         )  # fmt: skip
+
+
+@path_reading_logpdf.register(RangeBeams, allocates=False)
+def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
+    sine, cosine, best = scratch[5], scratch[6], scratch[2]
+    sincos_into(path[2], sine, cosine)
+    reading, beam_pose, max_range = sensor.reading, sensor.beam_pose, sensor.max_range
+    origin_x, origin_y = np.nan, np.nan
+    for beam in range(reading.shape[1]):
+        moved = beam_pose[beam, 0] != origin_x or beam_pose[beam, 1] != origin_y
+        origin_x, origin_y = beam_pose[beam, 0], beam_pose[beam, 1]
+        cast_one_beam(sensor, beam, path, sine, cosine, moved, scratch)
+        weight, scale, bias = 1.0 / sensor.std[beam], sensor.scale[beam], sensor.bias[beam]
+        constant, share = math.log(weight) - _HALF_LOG_2PI, sensor.outlier_weight[beam]
+        for t in range(n_steps):
+            z = reading[t, beam]
+            if math.isnan(z):
+                continue
+            expected = min(scale / best[t] + bias, _FAR * max_range)
+            clipped = z <= 0.0 or z >= max_range
+            if clipped:
+                value = inlier_logpdf(z, expected, weight, max_range)
+            else:
+                r = (z - expected) * weight
+                value = constant - 0.5 * r * r
+            if share > 0.0:
+                floor = 0.0 if clipped else share / max_range
+                value = math.log((1.0 - share) * math.exp(value) + floor)
+            logp[t] += value
 
 
 @linear_information.register(RangeBeams, allocates=False)

@@ -14,6 +14,7 @@ from pmcl.filtering.kernels import landmarks, motion, ranges, start  # noqa: F40
 from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import (
     draw_start,
+    path_transition_logpdf,
     propagate,
     scratch_rows,
     start_logpdf,
@@ -21,7 +22,7 @@ from pmcl.filtering.kernels.contract import (
     transition_logpdf,
 )
 from pmcl.filtering.kernels.resampling import MULTINOMIAL, draw_index, multinomial_into, resample
-from pmcl.filtering.kernels.tuples import any_look_back, any_reading, most_rows, sum_logpdf
+from pmcl.filtering.kernels.tuples import any_look_back, any_reading, most_rows, sum_logpdf, sum_path_logpdf
 from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
 
 # mypy: disable-error-code="no-untyped-def"
@@ -46,7 +47,7 @@ FINE, ALL_ZERO, NOT_A_NUMBER, NO_ANCESTOR = 0, 1, 2, 3
 @kernel
 def work_rows(tables):
     rows = max(scratch_rows(tables.motion), scratch_rows(tables.start))
-    return max(rows, most_rows(tables.sensors)) + 2
+    return max(rows, most_rows(tables.sensors)) + 3
 
 
 @kernel
@@ -226,33 +227,27 @@ def sweep(tables, rng, n_steps, n, conditional, path):
 
 
 @kernel
-def joint(tables, n_steps, path, out, current, previous, scratch):
-    """Add up log p(path, readings | theta) over the first `n_steps` rows; see :func:`joint_terms`."""
-    size = path.shape[1]
-    logp = scratch[0]
-    work = scratch[1:]
-    value = 0.0
+def joint(tables, columns, logp, scratch):
+    """Return log p(path, readings | theta) of a path given as `columns` (D, T); `logp` (T,) receives each row's share."""
+    n_steps, size = columns.shape[1], columns.shape[0]
     for t in range(n_steps):
-        for d in range(size):
-            current[d, 0] = path[t, d]
-        logp[0] = 0.0
-        if t == 0:
-            start_logpdf(tables.start, current, logp)
-            sum_logpdf(tables.sensors, t, current, current, logp, work)
-        else:
-            transition_logpdf(tables.motion, t, previous, path[t], logp, work)
-            if any_reading(tables.sensors, t):
-                sum_logpdf(tables.sensors, t, previous, current, logp, work)
-        if out.size > 0:
-            out[t] = logp[0]
-        value += logp[0]
-        previous, current = current, previous
-    return value
+        logp[t] = 0.0
+    first = scratch[0, :size]
+    for d in range(size):
+        first[d] = columns[d, 0]
+    start_logpdf(tables.start, first.reshape(size, 1), logp[:1])
+    path_transition_logpdf(tables.motion, n_steps, columns, logp, scratch)
+    sum_path_logpdf(tables.sensors, n_steps, columns, logp, scratch)
+    return total(logp)
 
 
 @entry
-def joint_terms(tables, path, out):
-    """Return log p(path, readings | theta) (eq. 16 without the prior) and write each row's share into `out` (T,) unless it is empty."""
-    size = path.shape[1]
-    scratch = np.empty((work_rows(tables), 1))
-    return joint(tables, path.shape[0], path, out, np.empty((size, 1)), np.empty((size, 1)), scratch)
+def joint_terms(tables, path):
+    """Return log p(path, readings | theta) of `path` (T, D), eq. 16 without the prior, and each row's share (T,)."""
+    n_steps, size = path.shape
+    columns, logp = np.empty((size, n_steps)), np.empty(n_steps)
+    for t in range(n_steps):
+        for d in range(size):
+            columns[d, t] = path[t, d]
+    value = joint(tables, columns, logp, np.empty((work_rows(tables), max(n_steps, size))))
+    return value, logp

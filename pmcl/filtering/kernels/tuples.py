@@ -9,11 +9,12 @@ from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
     looks_back,
+    path_reading_logpdf,
     reading_logpdf,
     scratch_rows,
 )
 
-__all__ = ["any_look_back", "any_reading", "most_rows", "sum_information", "sum_logpdf"]
+__all__ = ["any_look_back", "any_reading", "most_rows", "sum_information", "sum_logpdf", "sum_path_logpdf"]
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -37,6 +38,12 @@ def sum_logpdf(sensors, t, previous, current, logp, scratch):
     """Add the log densities of all readings at time t to `logp`."""
     for sensor in sensors:
         reading_logpdf(sensor, t, previous, current, logp, scratch)
+
+
+def sum_path_logpdf(sensors, n_steps, path, logp, scratch):
+    """Add the log densities of all readings along one trajectory `path` (D, T) to `logp` (T,)."""
+    for sensor in sensors:
+        path_reading_logpdf(sensor, n_steps, path, logp, scratch)
 
 
 def sum_information(sensors, geometries, t, precision, shift):
@@ -78,6 +85,18 @@ def _sum_logpdf(sensors, t, previous, current, logp, scratch):
     def both(sensors, t, previous, current, logp, scratch):
         reading_logpdf(sensors[0], t, previous, current, logp, scratch)
         sum_logpdf(sensors[1:], t, previous, current, logp, scratch)
+
+    return both
+
+
+@overload_for_types(sum_path_logpdf)
+def _sum_path_logpdf(sensors, n_steps, path, logp, scratch):
+    if _is_empty(sensors):
+        return lambda sensors, n_steps, path, logp, scratch: None
+
+    def both(sensors, n_steps, path, logp, scratch):
+        path_reading_logpdf(sensors[0], n_steps, path, logp, scratch)
+        sum_path_logpdf(sensors[1:], n_steps, path, logp, scratch)
 
     return both
 

@@ -1,0 +1,190 @@
+"""A robot log as plain arrays: what models, localization and scoring read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from pmcl.logs.schema import FORMAT, LANDMARK_READINGS, REFERENCE, VARIABLES
+from pmcl.logs.validation import landmark_names
+from pmcl.maps.landmarks import LandmarkMap
+from pmcl.maps.walls import WallMap
+
+__all__ = ["LogArrays"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LogArrays:
+    """Arrays of a validated log. T is the number of samples, B of beams, J of landmarks.
+
+    All arrays are float64 and read-only; poses are (x, y, heading) in the world frame [m, m, rad].
+
+    Attributes
+    ----------
+    dataset : xarray.Dataset
+        The log in the file format; :class:`~pmcl.logs.robot_log.RobotLog` validates it.
+    where : str
+        File or call that it came from, for messages.
+    """
+
+    dataset: xr.Dataset
+    where: str = "robot log"
+
+    @property
+    def n_steps(self) -> int:
+        """Number of samples T."""
+        return int(self.dataset.sizes["time"])
+
+    @cached_property
+    def n_readings(self) -> int:
+        """Number of beam readings and landmark sightings.
+
+        A beam without echo (inf) was measured and counts; a sighting counts once, however much of distance, bearing
+        and size it tells.
+        """
+        seen = [self._optional(name) for name in LANDMARK_READINGS]
+        sightings = [~np.isnan(values) for values in seen if values is not None]
+        beams = 0 if self.ranges is None else int(np.count_nonzero(~np.isnan(self.ranges)))
+        return beams + (int(np.count_nonzero(np.any(sightings, axis=0))) if sightings else 0)
+
+    @property
+    def robot(self) -> str:
+        """What moved; empty when the log does not say."""
+        return str(self.dataset.attrs.get("robot", ""))
+
+    @property
+    def source(self) -> str:
+        """Where the data come from; empty when the log does not say."""
+        return str(self.dataset.attrs.get("source", ""))
+
+    @cached_property
+    def times(self) -> Float:
+        """Sample times [s], shape (T,)."""
+        return _frozen(self.dataset["time"].values)
+
+    @cached_property
+    def odometry(self) -> Float:
+        """Measured displacement from the previous sample in its frame [m, m, rad], shape (T, 3).
+
+        Row 0, which the format ignores, reads as zero.
+        """
+        increments = np.array(self.dataset["odometry"].values)
+        increments[0] = 0.0
+        return _frozen(increments)
+
+    @property
+    def ranges(self) -> Float | None:
+        """Range readings [m], shape (T, B); NaN not measured, inf or >= :attr:`max_range` no echo."""
+        return self._optional("range")
+
+    @property
+    def beam_poses(self) -> Float | None:
+        """Where each beam sits on the robot [m, m, rad], shape (B, 3)."""
+        return self._optional("beam_pose")
+
+    @property
+    def max_range(self) -> float:
+        """Longest range of the beams [m]; inf when the log has no range readings."""
+        return float(self.dataset["range"].attrs["max_range"]) if "range" in self.dataset else float("inf")
+
+    @property
+    def landmark_range(self) -> Float | None:
+        """Distance readings to landmarks [m], shape (T, J); NaN not seen."""
+        return self._optional("landmark_range")
+
+    @property
+    def landmark_bearing(self) -> Float | None:
+        """Bearing readings to landmarks in the sensor frame [rad], shape (T, J); NaN not seen."""
+        return self._optional("landmark_bearing")
+
+    @property
+    def landmark_size(self) -> Float | None:
+        """Apparent sizes of landmarks [pixel], shape (T, J); NaN not seen."""
+        return self._optional("landmark_size")
+
+    @property
+    def size_at_one_metre(self) -> float | None:
+        """Apparent size of a landmark one metre away [pixel]; None when the log does not say."""
+        stated = (
+            self.dataset["landmark_size"].attrs.get("size_at_one_metre") if "landmark_size" in self.dataset else None
+        )
+        return None if stated is None else float(stated)
+
+    @property
+    def landmark_time_offset(self) -> Float | None:
+        """Time of each landmark reading minus the time of its sample [s], shape (T, J)."""
+        return self._optional("landmark_time_offset")
+
+    @property
+    def landmark_sensor_pose(self) -> Float:
+        """Where the landmark sensor sits on the robot [m, m, rad], shape (3,); its centre unless given."""
+        pose = self._optional("landmark_sensor_pose")
+        return _frozen(np.zeros(3)) if pose is None else pose
+
+    @cached_property
+    def landmarks(self) -> LandmarkMap | None:
+        """The landmark map; None when the log has none."""
+        positions = self._optional("landmark_position")
+        return None if positions is None else LandmarkMap(positions, landmark_names(self.dataset))
+
+    @cached_property
+    def walls(self) -> WallMap | None:
+        """The segment map; None when the log has none."""
+        segments = self._optional("wall")
+        return None if segments is None else WallMap(segments)
+
+    @property
+    def start_mean(self) -> Float:
+        """Mean of the belief about the pose at row 0 [m, m, rad], shape (3,)."""
+        return _frozen(self.dataset["start_mean"].values)
+
+    @property
+    def start_std(self) -> Float:
+        """Standard deviation of that belief [m, m, rad], shape (3,); inf means anywhere on the map."""
+        return _frozen(self.dataset["start_std"].values)
+
+    @property
+    def true_poses(self) -> Float | None:
+        """Reference trajectory [m, m, rad], shape (T, 3), NaN where unknown. For scoring only."""
+        return self._optional("true_pose")
+
+    @property
+    def true_theta(self) -> dict[str, float] | None:
+        """Parameters that the simulation used; None for a recorded log. For scoring only."""
+        text = self.dataset.attrs.get("true_theta")
+        return None if text is None else {name: float(value) for name, value in json.loads(text).items()}
+
+    def fingerprint(self) -> str:
+        """SHA-256 of all numbers that calibration sees, in hexadecimal.
+
+        Equal for two logs exactly when calibration cannot tell them apart: names, notes, the reference trajectory,
+        the true parameters, the seed and the ignored odometry of row 0 do not count.
+        """
+        seen = {name: self.dataset[name].values for name in VARIABLES if name in self.dataset and name not in REFERENCE}
+        seen |= {"odometry": self.odometry, "landmark_sensor_pose": self.landmark_sensor_pose}
+        seen["max_range"] = np.array(self.max_range)
+        seen["size_at_one_metre"] = np.array(np.nan if self.size_at_one_metre is None else self.size_at_one_metre)
+        digest = hashlib.sha256(FORMAT.encode())
+        for name, values in sorted(seen.items()):
+            # One spelling for every NaN and for both zeros.
+            plain = np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8")
+            digest.update(f"{name}{plain.shape}".encode() + plain.tobytes())
+        return digest.hexdigest()
+
+    def _optional(self, name: str) -> Float | None:
+        return _frozen(self.dataset[name].values) if name in self.dataset else None
+
+
+def _frozen(values: Float) -> Float:
+    # Read-only even after pickling, which forgets the flag; kernels get contiguous memory.
+    view: Float = np.ascontiguousarray(values, dtype=np.float64).view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,78 @@
+"""Plain arrays into a dataset of the file format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from pmcl.logs.schema import FORMAT, LABELS, VARIABLES
+from pmcl.logs.validation import fail
+from pmcl.maps.arrays import as_numbers
+
+__all__ = ["assemble"]
+
+
+def assemble(
+    arrays: Mapping[str, ArrayLike | None],
+    attributes: Mapping[str, object],
+    where: str,
+    landmark_names: Sequence[str] = (),
+) -> xr.Dataset:
+    """Give arrays the dimensions and units that the format names.
+
+    Parameters
+    ----------
+    arrays : mapping
+        From variable names of the format to arrays of the documented shapes; None leaves a variable out.
+    attributes : mapping
+        Attributes of the log; ``max_range`` goes to the ranges and ``size_at_one_metre`` to the landmark sizes. None
+        leaves an attribute out.
+    where : str
+        The call, for messages.
+    landmark_names : sequence of str, optional
+        Labels of the landmarks.
+
+    Returns
+    -------
+    xarray.Dataset
+        Not validated beyond shapes.
+
+    Raises
+    ------
+    LogError
+        When an array has no numbers, another number of axes, or disagrees with another about a shared size.
+    """
+    attrs = {"format": FORMAT, **{key: value for key, value in attributes.items() if value is not None}}
+    of_variables = {name: attrs.pop(name) for name in ("max_range", "size_at_one_metre") if name in attrs}
+    sizes: dict[str, tuple[int, str]] = {dim: (len(labels), "the format") for dim, labels in LABELS.items()}
+    variables: dict[str, tuple[tuple[str, ...], NDArray[np.float64], dict[str, object]]] = {}
+    for name, variable in VARIABLES.items():
+        value = arrays.get(name)
+        if value is None:
+            continue
+        try:
+            array = as_numbers(value)
+        except TypeError as problem:
+            fail(where, f"expected numbers [{variable.units}] for '{name}', got {problem}: convert them")
+        shape = ", ".join(variable.dims)
+        if array.ndim != len(variable.dims):
+            fail(where, f"expected '{name}' of shape ({shape}), got {array.shape}: reshape it")
+        for dim, size in zip(variable.dims, array.shape, strict=True):
+            known, source = sizes.setdefault(dim, (size, f"'{name}'"))
+            if size != known:
+                fail(
+                    where,
+                    f"expected {known} along '{dim}' in '{name}' ({shape}) because of {source}, got {size}: "
+                    "make both agree",
+                )
+        variables[name] = (variable.dims, array, {"units": variable.units, "long_name": variable.long_name})
+    for name, owner in (("max_range", "range"), ("size_at_one_metre", "landmark_size")):
+        if owner in variables and name in of_variables:
+            variables[owner][2][name] = of_variables[name]
+    coords: dict[str, object] = {}
+    if landmark_names:
+        coords["landmark"] = list(landmark_names)
+    return xr.Dataset(variables, coords=coords, attrs=attrs)

@@ -1,0 +1,95 @@
+"""NetCDF files: reading with one-line errors, and writing that never destroys what was there."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from pmcl.errors import LogError
+from pmcl.logs.validation import fail
+
+__all__ = ["read_dataset", "write_dataset"]
+
+
+def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Load a NetCDF file into memory and close it. Numbers come as they are: times are not turned into dates.
+
+    Parameters
+    ----------
+    path : path
+        A NetCDF-4 (HDF5) or NetCDF-3 file.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    LogError
+        When the file is missing, truncated or no NetCDF file.
+    """
+    where = os.fspath(path)
+    try:
+        with open(path, "rb") as stream:
+            classic = stream.read(3) == b"CDF"
+    except FileNotFoundError:
+        fail(where, "expected a NetCDF file, got no such file: check the path")
+    except OSError as problem:
+        fail(where, f"expected a readable NetCDF file, got '{problem.strerror}': check the path and its permissions")
+    try:
+        with xr.open_dataset(
+            path, engine="scipy" if classic else "h5netcdf", decode_times=False, decode_timedelta=False
+        ) as dataset:
+            return dataset.load()
+    except MemoryError:
+        raise
+    except Exception as problem:  # HDF5 answers a damaged file with whatever its damaged bytes lead it to
+        fail(where, f"expected a NetCDF file, got one that cannot be read ({problem}): write or copy it again")
+
+
+def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write a NetCDF-4 file, all or nothing: a failure leaves an existing file as it was.
+
+    The data go to a new file in the same folder, which then takes the name in one step.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        What to write. Every number is stored bit for bit.
+    path : path
+        Target; replaced when it exists.
+
+    Raises
+    ------
+    LogError
+        When the folder does not exist, or the file cannot be written.
+    """
+    # A symbolic link stays one: its target is what gets replaced.
+    target = Path(os.path.realpath(path))
+    if not target.parent.is_dir():
+        fail(os.fspath(path), "expected a path in an existing folder, got none there: create the folder")
+    if target.is_dir():
+        fail(os.fspath(path), "expected the path of a file, got a folder: add a file name")
+    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    # Without a fill value NaN is stored as the NaN that it is.
+    encoding = {str(name): {"_FillValue": None} for name in dataset.variables if _is_float(dataset[name])}
+    try:
+        dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+        with open(part, "rb") as stream:
+            os.fsync(stream.fileno())
+        os.replace(part, target)
+    except (OSError, TypeError, ValueError) as problem:
+        text = " ".join(str(problem).split())
+        raise LogError(
+            f"{os.fspath(path)}: expected to write a NetCDF file, got '{text}': check space, permissions and attributes"
+        ) from problem
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _is_float(array: xr.DataArray) -> bool:
+    return np.issubdtype(array.dtype, np.floating)

@@ -1,0 +1,251 @@
+"""Checks on a robot log, made once at the border: everything behind trusts what passes here.
+
+Each failure is one line that names the file or call, the variable, the row, and what to do.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import NoReturn
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from pmcl.errors import LogError, MapError
+from pmcl.logs.schema import FORMAT, LABELS, LANDMARK_READINGS, READINGS, VARIABLES
+from pmcl.maps.arrays import as_numbers
+from pmcl.maps.landmarks import LandmarkMap
+from pmcl.maps.walls import WallMap
+
+__all__ = ["fail", "validated"]
+
+Float = NDArray[np.float64]
+
+
+def fail(where: str, message: str) -> NoReturn:
+    """Raise a :class:`~pmcl.errors.LogError` of one line that begins with the place."""
+    raise LogError(" ".join(f"{where}: {message}".split()))
+
+
+def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
+    """Check a log and bring it into the form that the rest of pmcl relies on.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A log in the file format. Dimensions may come in any order, and labelled components (``increment``, ``pose``,
+        ``xy``, ``end``) too. Variables outside the format are kept as they are.
+    where : str
+        File or call, for messages.
+
+    Returns
+    -------
+    xarray.Dataset
+        A deep copy; the variables of the format are float64, read-only, with the format's order of dimensions.
+
+    Raises
+    ------
+    LogError
+        When the log does not follow the format.
+    MapError
+        When its map is not usable, or the start lies outside it.
+    """
+    if not isinstance(dataset, xr.Dataset):
+        fail(where, f"expected an xarray.Dataset, got {type(dataset).__name__}: read the file with RobotLog.read")
+    stated = dataset.attrs.get("format")
+    if stated != FORMAT:
+        got = "none" if stated is None else repr(stated)
+        fail(where, f"expected a robot log with attribute format = {FORMAT!r}, got {got}: convert it with pmcl convert")
+    dataset = _canonical(dataset, where)
+    _check_time_and_odometry(dataset, where)
+    if not any(name in dataset for name in READINGS):
+        fail(where, f"expected at least one of {', '.join(READINGS)}, got none: add what the sensors measured")
+    _check_ranges(dataset, where)
+    _check_landmarks(dataset, where)
+    walls = _checked_walls(dataset, where)
+    _check_start(dataset, walls, where)
+    _check_reference(dataset, where)
+    return dataset
+
+
+def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
+    dataset = dataset.copy()
+    for dim, labels in LABELS.items():
+        given = [str(label) for label in dataset[dim].values] if dim in dataset.coords else []
+        if given != list(labels) and sorted(given) == sorted(labels):
+            dataset = dataset.isel({dim: [given.index(label) for label in labels]})
+    for name in ("time", "odometry"):
+        if name not in dataset.variables:
+            fail(where, f"expected variable '{name}' ({', '.join(VARIABLES[name].dims)}), got none: add it")
+    for name, variable in VARIABLES.items():
+        if name not in dataset.variables:
+            continue
+        found = dataset[name]
+        sizes = {dim: len(LABELS[dim]) for dim in variable.dims if dim in LABELS}
+        if set(found.dims) != set(variable.dims) or any(found.sizes[dim] != size for dim, size in sizes.items()):
+            wanted = ", ".join(f"{dim}={sizes[dim]}" if dim in sizes else dim for dim in variable.dims)
+            got = ", ".join(f"{dim}={size}" for dim, size in found.sizes.items())
+            fail(where, f"expected '{name}' with dimensions ({wanted}), got ({got}): rename or reshape it")
+        found = found.transpose(*variable.dims)
+        try:
+            values = as_numbers(found.values)
+        except TypeError as problem:
+            fail(where, f"expected numbers [{variable.units}] in '{name}', got {problem}: convert them")
+        values.flags.writeable = False
+        dataset[name] = (variable.dims, values, found.attrs)
+    present = {dim: list(labels) for dim, labels in LABELS.items() if dim in dataset.dims}
+    return dataset.set_coords("time").assign_coords(present)
+
+
+def _check_time_and_odometry(dataset: xr.Dataset, where: str) -> None:
+    times = dataset["time"].values
+    if times.size == 0:
+        fail(where, "expected at least one sample, got an empty log: check the conversion and its time interval")
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size:
+        fail(where, f"expected finite times [s], got time[{bad[0]}] = {times[bad[0]]}: remove that row")
+    bad = np.flatnonzero(np.diff(times) <= 0.0) + 1
+    if bad.size:
+        k = int(bad[0])
+        fail(
+            where,
+            f"expected strictly increasing times, got time[{k}] = {times[k]:.9g} s after time[{k - 1}] = "
+            f"{times[k - 1]:.9g} s: sort the rows and remove duplicates",
+        )
+    # The displacement into row 0 has no row to come from; the format ignores it.
+    bad_rows = np.argwhere(~np.isfinite(dataset["odometry"].values[1:]))
+    if len(bad_rows):
+        row, part = int(bad_rows[0, 0]) + 1, int(bad_rows[0, 1])
+        value, name = dataset["odometry"].values[row, part], LABELS["increment"][part]
+        fail(
+            where,
+            f"expected finite odometry, got {name} = {value} in row {row} (time {times[row]:.9g} s): "
+            "fill the gap or cut the log there",
+        )
+
+
+def _check_ranges(dataset: xr.Dataset, where: str) -> None:
+    if "range" not in dataset:
+        return
+    if "beam_pose" not in dataset:
+        fail(where, "expected variable 'beam_pose' (beam, pose) beside 'range', got none: say where each beam sits")
+    _require_finite(dataset, "beam_pose", where)
+    # The attribute belongs to the readings; on the file as a whole it says the same.
+    stated = dataset["range"].attrs.get("max_range", dataset.attrs.get("max_range"))
+    max_range = _positive(stated)
+    if max_range is None:
+        got = "none" if stated is None else repr(stated)
+        fail(where, f"expected attribute max_range > 0 [m] on 'range', got {got}: set the longest range of the sensor")
+    dataset["range"].attrs["max_range"] = max_range
+    _require_not_negative(dataset, "range", "beam", where)
+
+
+def _check_landmarks(dataset: xr.Dataset, where: str) -> None:
+    readings = [name for name in LANDMARK_READINGS if name in dataset]
+    if "landmark_position" in dataset:
+        try:
+            LandmarkMap(dataset["landmark_position"].values, landmark_names(dataset))
+        except MapError as problem:
+            raise MapError(f"{where}, 'landmark_position': {problem}") from None
+    elif readings:
+        fail(
+            where,
+            f"expected variable 'landmark_position' (landmark, xy) beside '{readings[0]}', got none: add the map",
+        )
+    for name in readings:
+        if name != "landmark_bearing":
+            _require_not_negative(dataset, name, "landmark", where)
+    for name in (*readings, *(["landmark_time_offset"] if "landmark_time_offset" in dataset else [])):
+        bad = np.argwhere(np.isinf(dataset[name].values))
+        if len(bad):
+            row, j = (int(i) for i in bad[0])
+            fail(
+                where,
+                f"expected '{name}' finite or NaN (not seen), got {dataset[name].values[row, j]} in row {row} "
+                f"(time {dataset['time'].values[row]:.9g} s), landmark {j}: write NaN there",
+            )
+    if "landmark_size" in dataset and "size_at_one_metre" in dataset["landmark_size"].attrs:
+        stated = dataset["landmark_size"].attrs["size_at_one_metre"]
+        size = _positive(stated)
+        if size is None:
+            fail(
+                where,
+                f"expected attribute size_at_one_metre > 0 [pixel] on 'landmark_size', got {stated!r}: correct it",
+            )
+        dataset["landmark_size"].attrs["size_at_one_metre"] = size
+    if "landmark_sensor_pose" in dataset:
+        _require_finite(dataset, "landmark_sensor_pose", where)
+
+
+def landmark_names(dataset: xr.Dataset) -> tuple[str, ...]:
+    """Names of the landmarks: the labels of their dimension, or nothing when it has none."""
+    return tuple(str(label) for label in dataset["landmark"].values) if "landmark" in dataset.coords else ()
+
+
+def _checked_walls(dataset: xr.Dataset, where: str) -> WallMap | None:
+    if "wall" not in dataset:
+        return None
+    try:
+        return WallMap(dataset["wall"].values)
+    except MapError as problem:
+        raise MapError(f"{where}, 'wall': {problem}") from None
+
+
+def _check_start(dataset: xr.Dataset, walls: WallMap | None, where: str) -> None:
+    for name in ("start_mean", "start_std"):
+        if name not in dataset:
+            fail(where, f"expected variable '{name}' (pose=3), got none: add it (start_std = inf: anywhere on the map)")
+    mean, std = dataset["start_mean"].values, dataset["start_std"].values
+    if not (std >= 0.0).all():
+        fail(where, f"expected start_std >= 0 [m, m, rad], got {std.tolist()}: use inf where nothing is known")
+    if not np.isfinite(mean[np.isfinite(std)]).all():
+        fail(where, f"expected a finite start_mean, got {mean.tolist()}: set start_std to inf where nothing is known")
+    if walls is not None and walls.is_closed and np.isfinite(std[:2]).all() and not walls.contains(mean[:2]):
+        xmin, xmax, ymin, ymax = walls.bounds
+        raise MapError(
+            f"{where}: expected start_mean inside the walls (x {xmin:g} to {xmax:g} m, y {ymin:g} to {ymax:g} m), got "
+            f"({mean[0]:g}, {mean[1]:g}) m: correct it, or set start_std to inf"
+        )
+
+
+def _check_reference(dataset: xr.Dataset, where: str) -> None:
+    if "true_theta" not in dataset.attrs:
+        return
+    text = dataset.attrs["true_theta"]
+    try:
+        theta = json.loads(text)
+    except (TypeError, ValueError):
+        theta = None
+    if not isinstance(theta, dict) or not all(isinstance(value, int | float) for value in theta.values()):
+        fail(where, f"expected attribute true_theta as JSON object of numbers, got {text!r:.80}: correct or remove it")
+
+
+def _positive(stated: ArrayLike | None) -> float | None:
+    """Return the one positive, finite number that an attribute states; None when it states anything else."""
+    try:
+        numbers = as_numbers(stated).ravel()
+    except TypeError:
+        return None
+    return float(numbers[0]) if numbers.size == 1 and 0.0 < numbers[0] < math.inf else None
+
+
+def _require_finite(dataset: xr.Dataset, name: str, where: str) -> None:
+    values = dataset[name].values
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        index = ", ".join(str(i) for i in at)
+        fail(where, f"expected finite '{name}' [{VARIABLES[name].units}], got {values[at]} at [{index}]: correct it")
+
+
+def _require_not_negative(dataset: xr.Dataset, name: str, column: str, where: str) -> None:
+    bad = np.argwhere(dataset[name].values < 0.0)
+    if len(bad):
+        row, k = (int(i) for i in bad[0])
+        fail(
+            where,
+            f"expected '{name}' >= 0 [{VARIABLES[name].units}], got {dataset[name].values[row, k]:g} in row {row} "
+            f"(time {dataset['time'].values[row]:.9g} s), {column} {k}: write NaN where nothing was measured",
+        )

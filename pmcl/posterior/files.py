@@ -1,0 +1,107 @@
+"""The posterior on disk: one NetCDF file that ArviZ 0.2x and 1.x read alike."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pmcl.errors import PosteriorError
+from pmcl.posterior.access import parameter_names
+from pmcl.posterior.compat import Posterior, load_netcdf, save_netcdf
+
+__all__ = ["read_posterior", "replacing", "write_posterior"]
+
+
+def write_posterior(data: Posterior, path: str | os.PathLike[str]) -> None:
+    """Write a posterior to a NetCDF file; an older file of that name stays whole until the new one is complete.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+    path : path-like
+
+    Raises
+    ------
+    PosteriorError
+        If there is nothing to write, or the file cannot be written.
+    """
+    parameter_names(data)
+    with replacing(path) as temporary:
+        save_netcdf(data, temporary)
+
+
+def read_posterior(path: str | os.PathLike[str]) -> Posterior:
+    """Read a posterior into memory.
+
+    Parameters
+    ----------
+    path : path-like
+        A NetCDF file that :func:`write_posterior`, or ArviZ, wrote.
+
+    Returns
+    -------
+    arviz.InferenceData or xarray.DataTree
+
+    Raises
+    ------
+    PosteriorError
+        If the file is missing, damaged, not NetCDF, not a posterior, or holds no draws.
+    """
+    path = Path(path)
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise PosteriorError(
+            f"expected the posterior that 'pmcl calibrate' wrote, got {found} at {path}: check the name"
+        )
+    if path.stat().st_size == 0:
+        raise PosteriorError(f"expected a NetCDF posterior, got an empty file at {path}: run 'pmcl calibrate' again")
+    try:
+        data = load_netcdf(path)
+    # The HDF5 stack raises nearly anything on damaged files: KeyError and RuntimeError besides OSError and ValueError.
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise PosteriorError(
+            f"expected a NetCDF posterior, got a file that is damaged or of another format at {path} ({reason[:120]}): "
+            "run 'pmcl calibrate' again"
+        ) from error
+    try:
+        parameter_names(data)
+    except PosteriorError as error:
+        raise PosteriorError(f"{path}: {error}") from error
+    return data
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary name beside `path` to write to, which takes the place of `path` when all went well.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to write in the end.
+
+    Yields
+    ------
+    pathlib.Path
+        Where to write meanwhile.
+
+    Raises
+    ------
+    PosteriorError
+        If the file cannot be written; an existing file is then left as it was.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise PosteriorError(
+            f"expected a place to write {path}, got {error.strerror or error}: check that the folder exists, "
+            "can be written and has space"
+        ) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()

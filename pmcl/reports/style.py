@@ -1,0 +1,142 @@
+"""One look for all figures: colours, labels, sizes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+__all__ = [
+    "FAINT",
+    "POSTERIOR",
+    "PRIOR",
+    "TRUTH",
+    "chain_color",
+    "evenly_spaced",
+    "labelled",
+    "legend_above",
+    "new_figure",
+    "tidy",
+]
+
+# A palette that stays apart for colour-blind readers (Okabe and Ito).
+_CHAINS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8C7A00", "#5B4FA0")
+
+POSTERIOR = "#0072B2"
+PRIOR = "#777777"
+FAINT = "#B8B8B8"
+TRUTH: dict[str, Any] = {"color": "black", "linestyle": (0, (4, 2)), "linewidth": 1.3}
+
+# Letters in a line of a narrow label, and in a row of a legend.
+_NARROW = 14
+_LEGEND_ROW = 100
+
+
+def chain_color(chain: int) -> str:
+    """Colour of a chain, the same in all figures.
+
+    Parameters
+    ----------
+    chain : int
+        From 0.
+
+    Returns
+    -------
+    str
+    """
+    return _CHAINS[chain % len(_CHAINS)]
+
+
+def new_figure(height: float, width: float = 10.0) -> Figure:
+    """Empty figure of `width` by `height` inches, without pyplot, which would keep every figure alive.
+
+    Ten inches at 100 dots per inch fill a page of 1000 pixels with letters of 10 points.
+
+    Parameters
+    ----------
+    height, width : float
+        In inches.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def labelled(name: str, unit: str, *, narrow: bool = False) -> str:
+    """Axis label, such as ``sigma_range [m]``.
+
+    Parameters
+    ----------
+    name, unit : str
+        An empty unit is left out.
+    narrow : bool
+        Break the label into short lines: long names at their underscores, the unit below.
+
+    Returns
+    -------
+    str
+    """
+    if not narrow:
+        return f"{name} [{unit}]" if unit else name
+    lines = [""]
+    for part in re.findall(r"[^_ ]*[_ ]|[^_ ]+", name):
+        if len(lines[-1]) + len(part) > _NARROW and lines[-1]:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join([*lines, f"[{unit}]"] if unit else lines)
+
+
+def tidy(axes: Axes) -> None:
+    """Take the upper and right frame away and keep ticks few.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    """
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)
+
+
+def legend_above(figure: Figure, handles: Iterable[Any]) -> None:
+    """Legend above all panels.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    handles : iterable of matplotlib artists
+        Artists whose label starts with an underscore, or that repeat a label, are left out.
+    """
+    unique = {str(handle.get_label()): handle for handle in handles if not str(handle.get_label()).startswith("_")}
+    if unique:
+        # Line and gap of an entry are as wide as some eight letters.
+        columns = max(1, _LEGEND_ROW // (8 + max(map(len, unique))))
+        figure.legend(
+            list(unique.values()),
+            list(unique),
+            loc="outside upper center",
+            ncols=min(len(unique), columns),
+            frameon=False,
+        )
+
+
+def evenly_spaced(length: int, at_most: int) -> NDArray[np.int64]:
+    """Choose indices that thin a sequence to what a picture can show.
+
+    Parameters
+    ----------
+    length : int
+    at_most : int
+
+    Returns
+    -------
+    ndarray of int, at most `at_most` long
+        From 0 to ``length - 1``.
+    """
+    return np.unique(np.linspace(0, length - 1, min(length, at_most)).astype(np.int64))

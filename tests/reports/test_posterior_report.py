@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import xarray as xr
+from synthetic_posterior import SPREADS, fake_case
+
+from pmcl.errors import PosteriorError
+from pmcl.posterior.compat import assemble
+from pmcl.posterior.convert import to_arviz
+from pmcl.posterior.diagnostics import verdict
+from pmcl.reports import posterior_report
+from pmcl.reports.html import page
+from pmcl.reports.posterior_report import summary_text, write_report
+from pmcl.reports.tables import rounded
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would: text, and every address it would follow."""
+
+    def __init__(self):
+        super().__init__()
+        self.text, self.addresses, self.open = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value for key, value in attrs if key in ("src", "href", "data", "action")]
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open and data.strip():
+            self.text.append(data.strip())
+
+
+def read(path):
+    reader = Reader()
+    reader.feed(path.read_text(encoding="utf-8"))
+    assert reader.open == []
+    return reader
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Pages without their pictures, which take most of the time."""
+    monkeypatch.setattr(posterior_report, "_CHAPTERS", ())
+    monkeypatch.setattr(posterior_report, "embedded", lambda figure: "data:,")
+
+
+@pytest.fixture(scope="module")
+def written(report_data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(report_data, path)
+    return path
+
+
+def test_the_verdict_comes_first(written, report_data):
+    text = read(written).text
+    heading = text.index("Posterior of the noise model", 1)
+    assert text[heading + 1] == verdict(report_data).message
+
+
+def test_the_page_needs_nothing_else(written):
+    addresses = read(written).addresses
+    assert len(addresses) == 6
+    for address in addresses:
+        head, content = address.split(",", 1)
+        assert head == "data:image/png;base64"
+        assert base64.b64decode(content, validate=True).startswith(b"\x89PNG")
+    assert not re.search(r"https?://|@import|url\(|<script|<link", written.read_text(encoding="utf-8"))
+
+
+def test_numbers_settings_priors_and_statistics_are_on_the_page(written, report_case):
+    text = read(written).text
+    for expected in ("sigma_turn", "rad", "0.01950", "kernel", "conditional", "hash-log0", "gamma(2, scale=0.05)"):
+        assert expected in text
+    assert str(2**80 + 1) in text
+    mean = report_case.chains.statistics["path_update_rate"].mean(axis=1)
+    row = text.index("path_update_rate")
+    assert text[row + 1 : row + 5] == [f"{value:.4g}" for value in mean]
+    assert "acceptance_rate, sigma_range" in text
+
+
+def test_the_same_posterior_gives_the_same_file(report_data, written, tmp_path):
+    write_report(report_data, tmp_path / "again.html")
+    assert (tmp_path / "again.html").read_bytes() == written.read_bytes()
+
+
+@pytest.mark.usefixtures("quick")
+def test_everything_is_escaped(tmp_path):
+    case = fake_case(n_draws=20)
+    evil = "<script>alert('x')</script>"
+    chains = replace(case.chains, settings={"note": evil, evil: "1"})
+    parameters = [replace(one, description=evil) for one in case.parameters]
+    write_report(to_arviz(chains, parameters, case.logs), tmp_path / "r.html")
+    assert "<script" not in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert read(tmp_path / "r.html").text.count(evil) >= 5
+
+
+def test_a_template_that_misses_content_fails():
+    with pytest.raises(Exception, match="verdict"):
+        page("posterior.html.j2", title="x")
+
+
+@pytest.mark.usefixtures("quick")
+def test_bad_news_and_advice_are_shown(tmp_path):
+    case = fake_case(n_draws=100)
+    density = case.chains.log_joint.copy()
+    density[1] -= 500.0
+    data = to_arviz(replace(case.chains, log_joint=density), case.parameters, case.logs)
+    write_report(data, tmp_path / "r.html")
+    result = verdict(data)
+    assert 'class="verdict bad"' in (tmp_path / "r.html").read_text(encoding="utf-8")
+    text = read(tmp_path / "r.html").text
+    assert result.message in text
+    assert set(result.advice) <= set(text)
+
+
+@pytest.mark.usefixtures("quick")
+def test_each_log_is_shown_up_to_six(tmp_path):
+    case = fake_case(n_draws=20, n_stored=2, n_logs=8)
+    write_report(to_arviz(case.chains, case.parameters, case.logs), tmp_path / "r.html")
+    text = " ".join(read(tmp_path / "r.html").text)
+    assert "Trajectory of log 5 of 8" in text
+    assert "Trajectory of log 6 of 8" not in text
+    assert "The other 2 logs are not shown." in text
+
+
+def test_a_posterior_of_another_program_gets_a_page(tmp_path):
+    draws = np.random.default_rng(0).normal(size=(4, 500))
+    other = assemble({"posterior": xr.Dataset({"mu": (("chain", "draw"), draws)})}, {})
+    write_report(other, tmp_path / "r.html")
+    text = read(tmp_path / "r.html").text
+    assert "mu" in text
+    assert "MAP" not in text
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_old_page_survives_a_failure(report_data, tmp_path):
+    with pytest.raises(PosteriorError, match="folder exists"):
+        write_report(report_data, tmp_path / "nowhere" / "r.html")
+    path = tmp_path / "r.html"
+    path.write_text("old")
+    empty = assemble({"posterior": xr.Dataset()}, {})
+    with pytest.raises(PosteriorError):
+        write_report(empty, path)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_text_table_says_what_the_page_says(report_data):
+    lines = summary_text(report_data).split("\n")
+    columns = re.split(r"\s{2,}", lines[0].strip())
+    assert columns == ["name", "unit", "mean", "sd", "90 % interval", "truth", "R-hat", "ESS"]
+    assert len(lines) == 4
+    cells = re.split(r"\s{2,}", lines[2])
+    assert cells[:2] == ["sigma_turn", "rad"]
+    assert float(cells[2]) == pytest.approx(0.02, abs=2e-4)
+    assert float(cells[3]) == pytest.approx(0.001, rel=0.1)
+    assert cells[5] == "0.01950"
+    assert max(map(len, lines)) < 100
+    assert "*" not in "".join(lines)
+
+
+def test_rows_that_miss_a_limit_are_starred():
+    case = fake_case(n_draws=500, correlation=0.0, truth=False)
+    theta = case.chains.theta.copy()
+    theta[0, :, 1] += 3.0 * SPREADS[1]
+    lines = summary_text(to_arviz(replace(case.chains, theta=theta), case.parameters, case.logs)).split("\n")
+    assert "truth" not in lines[0]
+    assert [line.endswith("*") for line in lines] == [False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (0.0998489, 0.003987, "0.0998"),
+        (0.0998489, 0.00987, "0.0998"),
+        (12.345, 1.7, "12.3"),
+        (1234.5, 170.0, "1234"),
+        (-0.5, 0.03, "-0.500"),
+        (3.21e-9, 4.5e-11, "3.210e-09"),
+        (0.25, 0.0, "0.25"),
+        (0.25, float("nan"), "0.25"),
+        (float("nan"), 1.0, "-"),
+        (float("inf"), 1.0, "inf"),
+    ],
+)
+def test_rounding_keeps_two_digits_of_the_uncertainty(value, sd, text):
+    assert rounded(value, sd) == text
