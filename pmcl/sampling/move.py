@@ -53,11 +53,11 @@ class ParticleGibbsMove(Move):  # type: ignore[misc]
         self.transform = Unconstrained(bound.parameters)
         self.dtype = blob_dtype(bound, state_dimension(bound))
 
-    def update(self, walker: tuple[int, Any, float, Any, int]) -> tuple[Any, float, Any]:
-        """Return (theta, log_prob, blob) of one walker after one step, given (number, theta, log_prob, blob, seed)."""
-        number, theta, log_prob, blob, seed = walker
+    def update(self, walker: tuple[int, Any, Any, int]) -> tuple[Any, float, Any]:
+        """Return (theta, log_prob, blob) of one walker after one step, given (number, theta, blob, seed)."""
+        number, theta, blob, seed = walker
         transport = self.transports[number] if self.transports is not None else None
-        state = from_blob(theta, log_prob, blob)
+        state = from_blob(theta, blob)
         new = step(self.bound, self.settings, transport, self.transform, state, seed)
         return new.theta, new.log_joint, into_blob(new, self.dtype)
 
@@ -80,9 +80,7 @@ class ParticleGibbsMove(Move):  # type: ignore[misc]
         """
         n_walkers = state.coords.shape[0]
         seeds = model.random.randint(0, 2**62, size=n_walkers, dtype=np.int64)
-        work = [
-            (k, state.coords[k], float(state.log_prob[k]), state.blobs[k], int(seeds[k])) for k in range(n_walkers)
-        ]
+        work = [(k, state.coords[k], state.blobs[k], int(seeds[k])) for k in range(n_walkers)]
         results = list(model.map_fn(self.update, work))
         coords = np.array([result[0] for result in results])
         blobs = np.array([result[2] for result in results], dtype=self.dtype)

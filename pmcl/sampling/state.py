@@ -62,10 +62,11 @@ def state_dimension(bound: BoundModel) -> int:
 
 
 def blob_dtype(bound: BoundModel, size: int) -> np.dtype[Any]:
-    """Return the dtype of a blob: every field of :class:`ChainState` but theta and log_joint, which emcee keeps itself."""
+    """Return the dtype of a blob: every field of :class:`ChainState` but theta, which emcee keeps itself."""
     d = bound.dimension
     return np.dtype(
         [
+            ("log_joint", float),
             ("path", float, (sum(bound.lengths), size)),
             ("log_step", float, (d,)),
             ("log_scale", float),
@@ -88,11 +89,11 @@ def into_blob(state: ChainState, dtype: np.dtype[Any]) -> Any:
     return record
 
 
-def from_blob(theta: Float, log_joint: float, blob: Any) -> ChainState:
+def from_blob(theta: Float, blob: Any) -> ChainState:
     """Return the state that :func:`into_blob` made a record of; arrays are copies."""
     return ChainState(
         np.array(theta, dtype=float),
-        float(log_joint),
+        float(blob["log_joint"]),
         np.array(blob["path"], dtype=float),
         np.array(blob["log_step"], dtype=float),
         float(blob["log_scale"]),
