@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.filtering.kernels.geometry import BEARING, RANGE, SIZE, ReadingGeometry, pack_geometry
+from pmcl.filtering.kernels.landmarks import ideal_sightings
 from pmcl.filtering.kernels.rays import cast_rays
 from pmcl.models.tables import LandmarkSightings, RangeBeams
 
@@ -67,10 +68,7 @@ def beam_lengths(table: RangeBeams, path: Float) -> Float:
 
 @ideal_readings.register
 def _(table: LandmarkSightings, path: Float) -> Float:
-    time = table.time[: table.first[path.shape[0]]]
-    n = time.size
-    ahead, aside = _relative(table, path, time)
-    return np.stack([np.hypot(ahead, aside), np.arctan2(aside, ahead) - table.sensor_pose[2]], axis=-1).reshape(n, 2)
+    return np.asarray(ideal_sightings(table, np.ascontiguousarray(path)))
 
 
 def _relative(table: LandmarkSightings, path: Float, time: NDArray[np.int64]) -> tuple[Float, Float]:

@@ -237,23 +237,24 @@ class BoundLandmarkNoise:
         n = int(table.first[path.shape[0]])
         which = table.landmark[:n]
         distance, bearing = ideal[:n, 0], ideal[:n, 1]
-        ideal_size = table.size_constant[which] / distance**2
-        residual = np.empty((n, 3))
-        residual[:, 0] = table.range[:n] - (table.range_scale[which] * distance + table.range_bias[which])
-        turn = table.bearing[:n] - bearing - table.bearing_bias[which]
-        residual[:, 1] = turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
-        residual[:, 2] = table.size[:n] / ideal_size - 1.0
-        used = [self.range, self.bearing, self.size]
+        columns = []
+        if self.range:
+            columns.append(table.range[:n] - (table.range_scale[which] * distance + table.range_bias[which]))
+        if self.bearing:
+            turn = table.bearing[:n] - bearing - table.bearing_bias[which]
+            columns.append(turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5))
+        if self.size:
+            columns.append(table.size[:n] * distance**2 / table.size_constant[which] - 1.0)
         if not self.outliers:
-            channels = residual[:, used]
-            known = ~np.isnan(channels)
-            squares = np.where(known, channels, 0.0) ** 2
-            return GaussianSums(index, owned(theta), known.sum(axis=0).astype(float), squares.sum(axis=0))
-        full_index, value = np.full(4, -1, dtype=np.int64), np.ones(4)
-        positions = np.flatnonzero([*used, True])
+            known = [column[column == column] for column in columns]  # NaN differs from itself
+            count, squares = [float(column.size) for column in known], [float(column @ column) for column in known]
+            return GaussianSums(index, owned(theta), np.array(count), np.array(squares))
+        positions = np.flatnonzero([self.range, self.bearing, self.size, True])
+        full_index, value, residual = np.full(4, -1, dtype=np.int64), np.ones(4), np.full((n, 3), np.nan)
         full_index[positions], value[positions] = index, theta
+        residual[:, positions[:-1]] = np.stack(columns, axis=-1)
         seen = ~np.isnan(residual)
-        log_outlier = -(np.log(table.max_range) * seen[:, 0] + 2.0 * _HALF_LOG_2PI * seen[:, 1])
-        log_outlier -= np.where(seen[:, 2], np.log(table.size_constant[which]), 0.0)
-        log_scale = np.where(seen[:, 2], -np.log(ideal_size), 0.0)
+        log_constant = np.log(table.size_constant[which])
+        log_outlier = -(np.log(table.max_range) * seen[:, 0] + 2.0 * _HALF_LOG_2PI * seen[:, 1] + log_constant * seen[:, 2])
+        log_scale = (2.0 * np.log(distance) - log_constant) * seen[:, 2]
         return SightingResiduals(full_index, value, residual, log_scale, log_outlier)

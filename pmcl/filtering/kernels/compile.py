@@ -37,8 +37,10 @@ _compile_lock = threading.RLock()
 _extra_sources: set[str] = set()
 
 
-def _options(*, reorder: bool = False, assume_numbers: bool = False, allocates: bool = False) -> dict[str, Any]:
-    flags = set(_CONTRACT)
+def _options(
+    *, reorder: bool = False, assume_numbers: bool = False, strict: bool = False, allocates: bool = False
+) -> dict[str, Any]:
+    flags = set() if strict else set(_CONTRACT)
     if reorder or assume_numbers:
         flags |= {"reassoc"}
     if assume_numbers:
@@ -55,6 +57,7 @@ def kernel(
     *,
     reorder: bool = False,
     assume_numbers: bool = False,
+    strict: bool = False,
 ) -> Any:
     """Compile a function that is called from other kernels and allocates nothing.
 
@@ -66,10 +69,12 @@ def kernel(
         Sums may be reordered (needed to vectorise a reduction).
     assume_numbers : bool
         NaN may be ignored. Only for reductions whose input was tested before.
+    strict : bool
+        Every operation is rounded as written: products and sums are not fused.
     """
     if function is None:
-        return functools.partial(kernel, reorder=reorder, assume_numbers=assume_numbers)
-    return njit(**_options(reorder=reorder, assume_numbers=assume_numbers))(function)
+        return functools.partial(kernel, reorder=reorder, assume_numbers=assume_numbers, strict=strict)
+    return njit(**_options(reorder=reorder, assume_numbers=assume_numbers, strict=strict))(function)
 
 
 @functools.cache

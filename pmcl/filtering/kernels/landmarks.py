@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from pmcl.filtering.kernels.compile import entry
 from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
@@ -40,32 +43,48 @@ def _has_reading(sensor, t):
 @reading_logpdf.register(LandmarkSightings, allocates=False)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     n = logp.size
-    sine, cosine, ahead, aside, work, angle, log_area = (
-        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5], scratch[6],
+    sine, cosine, ahead, aside, work, angle = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
     )  # fmt: skip
     x, y = current[0], current[1]
-    sincos_into(current[2], sine, cosine)
     mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    turned = False
     for k in range(sensor.first[t], sensor.first[t + 1]):
         j = sensor.landmark[k]
         landmark_x, landmark_y = sensor.position[j, 0], sensor.position[j, 1]
         weight = sensor.outlier_weight[j]
-        for i in range(n):
-            ahead[i] = (landmark_x - x[i]) * cosine[i] + (landmark_y - y[i]) * sine[i] - mount_x
-        for i in range(n):
-            aside[i] = (landmark_y - y[i]) * cosine[i] - (landmark_x - x[i]) * sine[i] - mount_y
         target = work if weight > 0.0 else logp
         if weight > 0.0:
             for i in range(n):
                 work[i] = 0.0
         outlier = 0.0
+        has_bearing = not math.isnan(sensor.bearing[k])
+        if has_bearing or mount_x != 0.0 or mount_y != 0.0:
+            if not turned:
+                sincos_into(current[2], sine, cosine)
+                turned = True
+            # In the sensor's frame, turned further by minus the reading: the residual is then one angle, already wrapped.
+            expected = sensor.bearing[k] - sensor.bearing_bias[j] + mount_yaw if has_bearing else 0.0
+            c, s = math.cos(expected), math.sin(expected)
+            offset_ahead, offset_aside = mount_x * c + mount_y * s, mount_y * c - mount_x * s
+            for i in range(n):
+                c_i, s_i = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
+                ahead[i] = (landmark_x - x[i]) * c_i + (landmark_y - y[i]) * s_i - offset_ahead
+            for i in range(n):
+                c_i, s_i = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
+                aside[i] = (landmark_y - y[i]) * c_i - (landmark_x - x[i]) * s_i - offset_aside
+        else:
+            for i in range(n):
+                ahead[i] = landmark_x - x[i]
+                aside[i] = landmark_y - y[i]
         z = sensor.range[k]
         if not math.isnan(z):
-            scale, bias, inverse_std = sensor.range_scale[j], sensor.range_bias[j], 1.0 / sensor.range_std[j]
+            scale, inverse_std = sensor.range_scale[j], 1.0 / sensor.range_std[j]
             constant = math.log(inverse_std) - _HALF_LOG_2PI
+            shifted, slope = (z - sensor.range_bias[j]) * inverse_std, scale * inverse_std
             outlier -= math.log(sensor.max_range)
             for i in range(n):
-                r = (z - bias - scale * math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])) * inverse_std
+                r = shifted - slope * math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
                 target[i] += constant - 0.5 * r * r
         z = sensor.size[k]
         if not math.isnan(z):
@@ -73,25 +92,17 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             inverse_std, per_area = 1.0 / sensor.size_std[j], 1.0 / sensor.size_constant[j]
             constant = math.log(inverse_std * per_area) - _HALF_LOG_2PI
             outlier -= math.log(sensor.size_constant[j])
+            area, log_area = scratch[6], angle
             for i in range(n):
-                angle[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
-                r = (z * angle[i] * per_area - 1.0) * inverse_std
-                target[i] += constant - 0.5 * r * r
-            log_into(angle, log_area)
+                area[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
+            log_into(area, log_area)
             for i in range(n):
-                target[i] += log_area[i]
-        z = sensor.bearing[k]
-        if not math.isnan(z):
-            # Turning the landmark by minus the reading leaves the residual as one angle, already wrapped.
-            expected = z - sensor.bearing_bias[j] + mount_yaw
-            c, s = math.cos(expected), math.sin(expected)
+                r = (z * area[i] * per_area - 1.0) * inverse_std
+                target[i] += log_area[i] + constant - 0.5 * r * r
+        if has_bearing:
             inverse_std = 1.0 / sensor.bearing_std[j]
             constant = math.log(inverse_std) - _HALF_LOG_2PI
             outlier -= _LOG_2PI
-            for i in range(n):
-                u, v = ahead[i], aside[i]
-                ahead[i] = u * c + v * s
-                aside[i] = v * c - u * s
             atan2_into(aside, ahead, angle)
             for i in range(n):
                 r = angle[i] * inverse_std
@@ -174,3 +185,21 @@ def _linear_information(sensor, geometry, t, precision, shift):
             shift[a] += row * residual
             for b in range(3):
                 precision[a, b] += row * scale * geometry.jacobian[k, b]
+
+
+@entry
+def ideal_sightings(table, path):
+    """Return distance [m] and bearing in the sensor frame [rad] of each sighting along a path (T, D), as (N, 2)."""
+    n_steps = path.shape[0]
+    n = table.first[n_steps]
+    out = np.empty((n, 2))
+    mount_x, mount_y, mount_yaw = table.sensor_pose[0], table.sensor_pose[1], table.sensor_pose[2]
+    for t in range(n_steps):
+        c, s = math.cos(path[t, 2]), math.sin(path[t, 2])
+        for k in range(table.first[t], table.first[t + 1]):
+            j = table.landmark[k]
+            dx, dy = table.position[j, 0] - path[t, 0], table.position[j, 1] - path[t, 1]
+            ahead, aside = dx * c + dy * s - mount_x, dy * c - dx * s - mount_y
+            out[k, 0] = math.sqrt(ahead * ahead + aside * aside)
+            out[k, 1] = math.atan2(aside, ahead) - mount_yaw
+    return out

@@ -145,12 +145,20 @@ def _update_terms_compiled(parts, position, theta, k, terms, trial):
     return update
 
 
+@kernel
+def _change(trial, terms):
+    value = 0.0
+    for i in range(trial.size):
+        value += trial[i] - terms[i]
+    return value
+
+
 @entry
 def statistics_logpdf(parts, theta):
     """Return the sum of the log densities of all statistics at `theta` (d,)."""
     terms = np.zeros(len(parts))
     _update_terms(parts, 0, theta, -1, terms, terms)
-    return terms.sum()
+    return _change(terms, np.zeros(len(parts)))
 
 
 @entry
@@ -176,7 +184,8 @@ def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts
     """
     terms, trial = np.zeros(len(parts)), np.zeros(len(parts))
     _update_terms(parts, 0, theta, -1, terms, terms)
-    accepted[:] = 0.0
+    for k in range(theta.size):
+        accepted[k] = 0.0
     for _ in range(n_sweeps):
         for k in range(theta.size):
             old = theta[k]
@@ -184,11 +193,12 @@ def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts
             log_ratio = log_prior(priors, k, theta[k]) - log_prior(priors, k, old)
             if log_ratio > -np.inf:
                 _update_terms(parts, 0, theta, k, terms, trial)
-                log_ratio += (trial - terms).sum()
+                log_ratio += _change(trial, terms)
             # A comparison with NaN is False: a density that is not a number is never accepted.
             yes = math.log(rng.random()) < log_ratio
             if yes:
-                terms[:] = trial
+                for i in range(terms.size):
+                    terms[i] = trial[i]
                 accepted[k] += 1.0 / n_sweeps
             else:
                 theta[k] = old

@@ -22,14 +22,14 @@ from pmcl.models.tables import RangeBeams
 # mypy: disable-error-code="no-untyped-def"
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-_FIXED_ROWS = 8
+_FIXED_ROWS = 9
 # A ray that meets nothing has length inf; this many times the longest reading stands for it.
 _FAR = 2.0
 
 
 @scratch_rows.register(RangeBeams, allocates=False)
 def _scratch_rows(table):
-    return _FIXED_ROWS + table.vertices.shape[0] + table.wall_start.size
+    return _FIXED_ROWS + table.wall_start.size
 
 
 @looks_back.register(RangeBeams, allocates=False)
@@ -97,9 +97,7 @@ def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
     """Write 1 / length of one beam for all particles into scratch row 2; reuse the origins when `moved` is False."""
     n = current.shape[1]
     dx, dy, best, x, y = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    n_vertices = sensor.vertices.shape[0]
-    side = scratch[_FIXED_ROWS : _FIXED_ROWS + n_vertices]
-    inverse = scratch[_FIXED_ROWS + n_vertices : _FIXED_ROWS + n_vertices + sensor.wall_start.size]
+    moment, inverse = scratch[8], scratch[_FIXED_ROWS : _FIXED_ROWS + sensor.wall_start.size]
     if moved:
         mount_x, mount_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
         for i in range(n):
@@ -111,7 +109,7 @@ def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
     for i in range(n):
         dx[i] = cosine[i] * c - sine[i] * s
         dy[i] = sine[i] * c + cosine[i] * s
-    inverse_lengths(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, dx, dy, inverse, side, best)
+    inverse_lengths(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, dx, dy, inverse, moment, best)
 
 
 @reading_logpdf.register(RangeBeams, allocates=False)

@@ -2,8 +2,8 @@
 
 A ray from p along d meets the line of the wall a-b at distance cross(a - p, b - a) / cross(d, b - a); it meets the
 wall itself when a and b lie on different sides of the ray, that is when cross(a, d) - cross(p, d) and
-cross(b, d) - cross(p, d) differ in sign or vanish. The sides are computed once for each vertex, so two walls that share a
-corner see the same number and no ray slips between them; the difference of two sides is the divisor. The inner loops run over rays.
+cross(b, d) - cross(p, d) differ in sign or vanish. The side of a corner is computed by the same operations, rounded as
+written, for every wall that ends there, so no ray slips between two walls; the difference of two sides is the divisor. The inner loops run over rays.
 
 A wall that is seen exactly edge-on has no width and is not hit, unless another wall meets its end.
 """
@@ -32,8 +32,8 @@ def wall_numerators(vertices, wall_start, wall_stop, x, y, inverse):  # type: ig
             row[i] = 1.0 / (constant - (x[i] * ey - y[i] * ex))
 
 
-@kernel
-def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, side, best):  # type: ignore[no-untyped-def]
+@kernel(strict=True)
+def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, moment, best):  # type: ignore[no-untyped-def]
     """Write 1 / length of each ray into `best` (n,); 0 where the ray meets no wall.
 
     Parameters
@@ -44,51 +44,55 @@ def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, side
         Origins [m] and unit directions in the map frame.
     inverse : ndarray, shape (W, n)
         From :func:`wall_numerators`.
-    side : ndarray, shape (V, n)
+    moment : ndarray, shape (n,)
         Work space.
     best : ndarray, shape (n,)
         The result [1/m].
     """
     n = x.size
-    n_vertices, n_walls = vertices.shape[0], wall_start.size
-    # Two vertices, then two walls, share one pass over the rays: one is bound by memory traffic, and with three
-    # the compiler gives up proving that the arrays are distinct.
+    n_walls = wall_start.size
     for i in range(n):
-        best[i] = x[i] * dy[i] - y[i] * dx[i]
-    for v in range(0, n_vertices - 1, 2):
-        side_0, side_1 = side[v], side[v + 1]
-        x0, y0, x1, y1 = vertices[v, 0], vertices[v, 1], vertices[v + 1, 0], vertices[v + 1, 1]
-        for i in range(n):
-            side_0[i] = (x0 * dy[i] - y0 * dx[i]) - best[i]
-            side_1[i] = (x1 * dy[i] - y1 * dx[i]) - best[i]
-    for v in range(n_vertices - n_vertices % 2, n_vertices):
-        side_0, x0, y0 = side[v], vertices[v, 0], vertices[v, 1]
-        for i in range(n):
-            side_0[i] = (x0 * dy[i] - y0 * dx[i]) - best[i]
-    for i in range(n):
+        moment[i] = x[i] * dy[i] - y[i] * dx[i]
         best[i] = 0.0
-    for w in range(0, n_walls - 1, 2):
-        a0, b0, inverse_0 = side[wall_start[w]], side[wall_stop[w]], inverse[w]
-        a1, b1, inverse_1 = side[wall_start[w + 1]], side[wall_stop[w + 1]], inverse[w + 1]
-        for i in range(n):
-            trial = (a0[i] - b0[i]) * inverse_0[i]
-            value = best[i]
-            value = trial if (a0[i] * b0[i] <= 0.0) & (trial > value) else value
-            trial = (a1[i] - b1[i]) * inverse_1[i]
-            best[i] = trial if (a1[i] * b1[i] <= 0.0) & (trial > value) else value
-    for w in range(n_walls - n_walls % 2, n_walls):
-        a0, b0, inverse_0 = side[wall_start[w]], side[wall_stop[w]], inverse[w]
-        for i in range(n):
-            trial = (a0[i] - b0[i]) * inverse_0[i]
-            best[i] = trial if (a0[i] * b0[i] <= 0.0) & (trial > best[i]) else best[i]
+    w = 0
+    while w < n_walls:
+        ax, ay = vertices[wall_start[w], 0], vertices[wall_start[w], 1]
+        bx, by = vertices[wall_stop[w], 0], vertices[wall_stop[w], 1]
+        first = inverse[w]
+        chained = w + 2 < n_walls and wall_stop[w] == wall_start[w + 1] and wall_stop[w + 1] == wall_start[w + 2]
+        if chained:
+            # Three walls in a row: four corners and one pass over the rays, which is bound by memory traffic.
+            cx, cy = vertices[wall_stop[w + 1], 0], vertices[wall_stop[w + 1], 1]
+            ex, ey = vertices[wall_stop[w + 2], 0], vertices[wall_stop[w + 2], 1]
+            second, third = inverse[w + 1], inverse[w + 2]
+            for i in range(n):
+                a = (ax * dy[i] - ay * dx[i]) - moment[i]
+                b = (bx * dy[i] - by * dx[i]) - moment[i]
+                c = (cx * dy[i] - cy * dx[i]) - moment[i]
+                e = (ex * dy[i] - ey * dx[i]) - moment[i]
+                value = best[i]
+                trial = (a - b) * first[i]
+                value = trial if (a * b <= 0.0) & (trial > value) else value
+                trial = (b - c) * second[i]
+                value = trial if (b * c <= 0.0) & (trial > value) else value
+                trial = (c - e) * third[i]
+                best[i] = trial if (c * e <= 0.0) & (trial > value) else value
+            w += 3
+        else:
+            for i in range(n):
+                a = (ax * dy[i] - ay * dx[i]) - moment[i]
+                b = (bx * dy[i] - by * dx[i]) - moment[i]
+                trial = (a - b) * first[i]
+                best[i] = trial if (a * b <= 0.0) & (trial > best[i]) else best[i]
+            w += 1
 
 
 @entry
 def _cast(vertices, wall_start, wall_stop, x, y, dx, dy):  # type: ignore[no-untyped-def]
     n = x.size
-    inverse, side, best = np.empty((wall_start.size, n)), np.empty((vertices.shape[0], n)), np.empty(n)
+    inverse, moment, best = np.empty((wall_start.size, n)), np.empty(n), np.empty(n)
     wall_numerators(vertices, wall_start, wall_stop, x, y, inverse)
-    inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, side, best)
+    inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, moment, best)
     return 1.0 / best
 
 

@@ -213,11 +213,17 @@ def sweep(tables, rng, n_steps, n, conditional, path):
     )  # fmt: skip
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
-    drawn = path.copy()
+    # Copies are loops: numba compiles four seconds of error messages for each assignment of a slice.
+    drawn = np.empty((n_steps, size))
+    for t in range(n_steps):
+        for d in range(size):
+            drawn[t, d] = path[t, d]
     status, t, changed = _backward(tables, rng, n_steps, particles, log_weights, drawn, previous, scratch)
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
-    path[:n_steps] = drawn[:n_steps]
+    for s in range(n_steps):
+        for d in range(size):
+            path[s, d] = drawn[s, d]
     effective, measured = 0.0, 0
     for s in range(n_steps):
         if steps[s, 0] != 0.0:

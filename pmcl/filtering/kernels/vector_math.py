@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
 from pmcl.filtering.kernels.compile import kernel
 
@@ -24,23 +26,38 @@ _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.57079632673412561417e00, 6.07710050630396
 _TWO_OVER_PI = 2.0 / math.pi
 _SMALLEST_EXPONENT = -700.0
 _TAN_PI_16, _TAN_PI_8, _TAN_3PI_16 = math.tan(math.pi / 16), math.tan(math.pi / 8), math.tan(3 * math.pi / 16)
-_SQRT_HALF = math.sqrt(0.5)
 _ONE_BITS = 1023 << 52
 _MANTISSA_BITS = (1 << 52) - 1
+
+
+@intrinsic
+def _bits_of(typing_context, x):  # type: ignore[no-untyped-def]
+    """Return the 64 bits of a float as an integer."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], context.get_value_type(types.int64))
+
+    return types.int64(types.float64), generate
+
+
+@intrinsic
+def _float_of(typing_context, bits):  # type: ignore[no-untyped-def]
+    """Return the float that 64 bits spell."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
+
+    return types.float64(types.int64), generate
 
 
 @kernel
 def exp_into(x, shift, out):  # type: ignore[no-untyped-def]
     """Write exp(x - shift) into `out`; arguments below -700 give exactly 0, NaN gives 0 (test for NaN before)."""
-    n = x.size
-    bits = out.view(np.int64)
-    for i in range(n):
-        out[i] = max(x[i] - shift, _SMALLEST_EXPONENT) * _LOG2E + _ROUND
-    for i in range(n):
-        bits[i] = (bits[i] + 1023) << 52
-    for i in range(n):
-        a = max(x[i] - shift, _SMALLEST_EXPONENT)
-        k = (a * _LOG2E + _ROUND) - _ROUND
+    for i in range(x.size):
+        given = x[i] - shift
+        a = max(given, _SMALLEST_EXPONENT)
+        rounded = a * _LOG2E + _ROUND
+        k = rounded - _ROUND
         r = (a - k * _LN2_HIGH) - k * _LN2_LOW
         p = 1.0 / 6227020800.0
         p = p * r + 1.0 / 479001600.0
@@ -56,20 +73,18 @@ def exp_into(x, shift, out):  # type: ignore[no-untyped-def]
         p = p * r + 0.5
         p = p * r + 1.0
         p = p * r + 1.0
-        out[i] = p * out[i] if x[i] - shift > _SMALLEST_EXPONENT else 0.0
+        # k sits in the low bits of `rounded`: shifted up it is the exponent of 2^k.
+        power = _float_of((_bits_of(rounded) + 1023) << 52)
+        out[i] = p * power if given > _SMALLEST_EXPONENT else 0.0
 
 
 @kernel
 def log_into(x, out):  # type: ignore[no-untyped-def]
     """Write log(x) into `out` for normal numbers x > 0; 0 and subnormal numbers give -inf, negative numbers NaN."""
-    n = x.size
-    bits = x.view(np.int64)
-    scaled = out.view(np.int64)
-    for i in range(n):
-        scaled[i] = (bits[i] & _MANTISSA_BITS) | _ONE_BITS
-    for i in range(n):
-        m = out[i]
-        e = float((bits[i] >> 52) - 1023)
+    for i in range(x.size):
+        bits = _bits_of(x[i])
+        m = _float_of((bits & _MANTISSA_BITS) | _ONE_BITS)
+        e = float((bits >> 52) - 1023)
         high = m > 1.4142135623730951
         m = 0.5 * m if high else m
         e = e + 1.0 if high else e
