@@ -83,7 +83,8 @@ def reading_logpdf(sensor, t, previous, current, logp, scratch):
 def linearise_start(start, reference, precision, shift):
     """Add the Gaussian information of the start belief about the deviation from `reference` (D,).
 
-    `precision` (D, D) gains the inverse covariance, `shift` (D,) the inverse covariance times the mean deviation.
+    `precision` (D, D) gains the inverse covariance, `shift` (D,) the inverse covariance times the mean deviation. Only
+    the lower triangle of `precision` is read.
     """
 
 
@@ -98,6 +99,8 @@ def linearise_transition(motion, t, before, after, jacobian, offset, precision):
 @generic
 def linear_information(sensor, geometry, t, precision, shift):
     """Add the information of the readings at t about the deviation from the reference.
+
+    Only the lower triangle of `precision` is read.
 
     `geometry` is what the sensor's Python side prepared at the reference trajectory: see
     :mod:`pmcl.filtering.kernels.geometry`.

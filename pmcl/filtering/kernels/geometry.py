@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BEARING", "RANGE", "SIZE", "ReadingGeometry", "pack_geometry"]
+from pmcl.filtering.kernels.compile import kernel
+
+__all__ = ["BEARING", "RANGE", "SIZE", "ReadingGeometry", "add_information", "pack_geometry"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -58,3 +60,19 @@ def pack_geometry(
         np.ascontiguousarray(jacobian[order], dtype=float),
         np.ascontiguousarray(weight[order], dtype=float),
     )
+
+
+@kernel
+def add_information(jacobian, k, scale, weight, residual, precision, shift):  # type: ignore[no-untyped-def]
+    """Add one scalar reading of a pose: slope ``scale * jacobian[k]``, inverse variance `weight`, and its residual."""
+    j0, j1, j2 = scale * jacobian[k, 0], scale * jacobian[k, 1], scale * jacobian[k, 2]
+    w0, w1, w2 = weight * j0, weight * j1, weight * j2
+    shift[0] += w0 * residual
+    shift[1] += w1 * residual
+    shift[2] += w2 * residual
+    precision[0, 0] += w0 * j0
+    precision[1, 0] += w1 * j0
+    precision[1, 1] += w1 * j1
+    precision[2, 0] += w2 * j0
+    precision[2, 1] += w2 * j1
+    precision[2, 2] += w2 * j2

@@ -15,7 +15,7 @@ from pmcl.filtering.kernels.contract import (
     reading_logpdf,
     scratch_rows,
 )
-from pmcl.filtering.kernels.geometry import BEARING, RANGE
+from pmcl.filtering.kernels.geometry import BEARING, RANGE, add_information
 from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, sincos_into
 from pmcl.models.tables import LandmarkSightings
 
@@ -162,6 +162,7 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
 @linear_information.register(LandmarkSightings, allocates=False)
 def _linear_information(sensor, geometry, t, precision, shift):
+    jacobian = geometry.jacobian
     for k in range(geometry.first[t], geometry.first[t + 1]):
         j, kind = geometry.channel[k], geometry.kind[k]
         scale, expected, std = 1.0, geometry.value[k], 1.0
@@ -180,11 +181,7 @@ def _linear_information(sensor, geometry, t, precision, shift):
         if kind == BEARING:
             residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
         weight = geometry.weight[k] / (std * std)
-        for a in range(3):
-            row = weight * scale * geometry.jacobian[k, a]
-            shift[a] += row * residual
-            for b in range(3):
-                precision[a, b] += row * scale * geometry.jacobian[k, b]
+        add_information(jacobian, k, scale, weight, residual, precision, shift)
 
 
 @entry

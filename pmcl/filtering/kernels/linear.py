@@ -27,102 +27,113 @@ __all__ = ["carry", "factorise", "transport_trial"]
 
 
 @kernel
-def _cholesky(a, size):
-    """Replace the lower triangle of `a` by its Cholesky factor; return False where it is not positive definite."""
+def _cholesky(a, c, size):
+    """Write the Cholesky factor of `a` into the lower triangle of `c` (both size * size, flat); False if not positive definite."""
     for i in range(size):
         for j in range(i + 1):
-            value = a[i, j]
+            value = a[i * size + j]
             for k in range(j):
-                value -= a[i, k] * a[j, k]
+                value -= c[i * size + k] * c[j * size + k]
             if i == j:
                 if not value > 0.0:
                     return False
-                a[i, i] = math.sqrt(value)
+                c[i * size + i] = math.sqrt(value)
             else:
-                a[i, j] = value / a[j, j]
+                c[i * size + j] = value / c[j * size + j]
     return True
 
 
 @kernel
-def _solve(factor, size, b):
-    """Replace the vector `b` by (C C^T)^-1 b."""
+def _solve(c, inverse_diagonal, b, begin, stride, size):
+    """Replace the vector ``b[begin::stride]`` by (C C^T)^-1 b."""
     for i in range(size):
+        value = b[begin + i * stride]
         for k in range(i):
-            b[i] -= factor[i, k] * b[k]
-        b[i] /= factor[i, i]
+            value -= c[i * size + k] * b[begin + k * stride]
+        b[begin + i * stride] = value * inverse_diagonal[i]
     for i in range(size - 1, -1, -1):
+        value = b[begin + i * stride]
         for k in range(i + 1, size):
-            b[i] -= factor[k, i] * b[k]
-        b[i] /= factor[i, i]
+            value -= c[k * size + i] * b[begin + k * stride]
+        b[begin + i * stride] = value * inverse_diagonal[i]
 
 
 @kernel
-def _factorise(tables, geometries, reference, factor, gain, centre, work):
+def _factorise(tables, geometries, reference, factor, gain, centre, work, size):
+    """Eliminate forward in time; `factor` and `gain` are (T, D * D), `centre` (T, D). Returns the log determinant.
+
+    `size` must be the constant D: the small loops are then unrolled. Matrices are flat for the same reason.
+    """
     n_steps = reference.shape[0]
-    size = state_size(tables.motion)  # a constant after inlining, so that the small loops are unrolled
-    jacobian, noise_precision = work[0:size], work[size : 2 * size]
-    information, weighted = work[2 * size : 3 * size], work[3 * size : 4 * size]
-    offset, shift, column, shifted = work[4 * size], work[4 * size + 1], work[4 * size + 2], work[4 * size + 3]
+    square = size * size
+    jacobian, noise, information = work[0:square], work[square : 2 * square], work[2 * square : 3 * square]
+    weighted = work[3 * square : 4 * square]
+    vectors = work[4 * square : 4 * square + 4 * size]
+    offset, shift, shifted = vectors[0:size], vectors[size : 2 * size], vectors[2 * size : 3 * size]
+    inverse_diagonal = vectors[3 * size : 4 * size]
+    jacobian_2d, noise_2d = jacobian.reshape(size, size), noise.reshape(size, size)
+    information_2d = information.reshape(size, size)
     for i in range(size):
         shift[i] = 0.0
-        for j in range(size):
-            information[i, j] = 0.0
-    linearise_start(tables.start, reference[0], information, shift)
+    for i in range(square):
+        information[i] = 0.0
+    linearise_start(tables.start, reference[0], information_2d, shift)
     log_determinant = 0.0
     for t in range(n_steps):
-        sum_information(tables.sensors, geometries, t, information, shift)
+        sum_information(tables.sensors, geometries, t, information_2d, shift)
         last = t == n_steps - 1
         if not last:
             linearise_transition(
-                tables.motion, t + 1, reference[t], reference[t + 1], jacobian, offset, noise_precision
+                tables.motion, t + 1, reference[t], reference[t + 1], jacobian_2d, offset, noise_2d
             )
             for i in range(size):
-                shifted[i] = 0.0
-                for j in range(size):
-                    shifted[i] += noise_precision[i, j] * offset[j]
-                    value = 0.0
-                    for k in range(size):
-                        value += noise_precision[i, k] * jacobian[k, j]
-                    weighted[i, j] = value
-            # Both terms of d[t]'s precision: what is known up to t, and the transition to t + 1.
-            for i in range(size):
-                for j in range(size):
-                    value = 0.0
-                    for k in range(size):
-                        value += jacobian[k, i] * weighted[k, j]
-                    information[i, j] += value
                 value = 0.0
                 for k in range(size):
-                    value += jacobian[k, i] * shifted[k]
-                shift[i] -= value
-        c = factor[t]
-        for i in range(size):
-            for j in range(size):
-                c[i, j] = information[i, j]
-        if not _cholesky(c, size):
+                    value += noise[i * size + k] * offset[k]
+                shifted[i] = value
+                for j in range(size):
+                    value = 0.0
+                    for k in range(size):
+                        value += noise[i * size + k] * jacobian[k * size + j]
+                    weighted[i * size + j] = value
+            # The precision of d[t]: what is known up to t, and the transition to t + 1. Only its lower triangle is used.
+            for i in range(size):
+                value = shift[i]
+                for k in range(size):
+                    value -= jacobian[k * size + i] * shifted[k]
+                shift[i] = value
+                for j in range(i + 1):
+                    value = information[i * size + j]
+                    for k in range(size):
+                        value += jacobian[k * size + i] * weighted[k * size + j]
+                    information[i * size + j] = value
+        c, k_t, centre_t = factor[t], gain[t], centre[t]
+        if not _cholesky(information, c, size):
             return -np.inf
+        determinant = 1.0
         for i in range(size):
-            log_determinant += math.log(c[i, i])
-            centre[t, i] = shift[i]
-        _solve(c, size, centre[t])
+            determinant *= c[i * size + i]
+            inverse_diagonal[i] = 1.0 / c[i * size + i]
+            centre_t[i] = shift[i]
+        log_determinant += math.log(determinant)
+        _solve(c, inverse_diagonal, centre_t, 0, 1, size)
         if not last:
-            for j in range(size):
-                for i in range(size):
-                    column[i] = weighted[j, i]
-                _solve(c, size, column)
-                for i in range(size):
-                    gain[t, i, j] = column[i]
-            # Marginalise d[t]: what remains is the information about d[t + 1].
             for i in range(size):
                 for j in range(size):
-                    value = noise_precision[i, j]
-                    for k in range(size):
-                        value -= weighted[i, k] * gain[t, k, j]
-                    information[i, j] = value
+                    k_t[i * size + j] = weighted[j * size + i]
+            for j in range(size):
+                _solve(c, inverse_diagonal, k_t, j, size, size)
+            # Marginalise d[t]: what remains is the information about d[t + 1].
+            for i in range(size):
                 value = shifted[i]
                 for k in range(size):
-                    value += weighted[i, k] * centre[t, k]
+                    value += weighted[i * size + k] * centre_t[k]
                 shift[i] = value
+                for j in range(i + 1):
+                    value = noise[i * size + j]
+                    for k in range(size):
+                        value -= weighted[i * size + k] * k_t[k * size + j]
+                    information[i * size + j] = value
     return log_determinant
 
 
@@ -143,15 +154,15 @@ def factorise(tables, geometries, reference):
     -------
     log_determinant : float
         Sum of the logs of the diagonals of all C[t]; -inf where the linearised precision is not positive definite.
-    factor, gain : ndarray, shape (T, D, D)
-        C[t] (lower triangle) and K[t].
+    factor, gain : ndarray, shape (T, D * D)
+        C[t] (its lower triangle; the rest is undefined) and K[t], row by row.
     centre : ndarray, shape (T, D)
         k[t].
     """
-    n_steps, size = reference.shape
-    factor, gain = np.empty((n_steps, size, size)), np.zeros((n_steps, size, size))
-    centre, work = np.empty((n_steps, size)), np.empty((4 * size + 4, size))
-    log_determinant = _factorise(tables, geometries, reference, factor, gain, centre, work)
+    n_steps, size = reference.shape[0], state_size(tables.motion)
+    factor, gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
+    centre, work = np.empty((n_steps, size)), np.empty(4 * size * size + 4 * size)
+    log_determinant = _factorise(tables, geometries, reference, factor, gain, centre, work, size)
     return log_determinant, factor, gain, centre
 
 
@@ -159,25 +170,29 @@ def factorise(tables, geometries, reference):
 def _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, z, size):
     n_steps = path.shape[0]
     for t in range(n_steps - 1, -1, -1):
+        c, new_c, k_t, new_k = factor[t], new_factor[t], gain[t], new_gain[t]
+        last = t == n_steps - 1
         for i in range(size):
-            z[i] = path[t, i] - reference[t, i] - centre[t, i]
-            if t < n_steps - 1:
+            value = path[t, i] - reference[t, i] - centre[t, i]
+            if not last:
                 for j in range(size):
-                    z[i] -= gain[t, i, j] * (path[t + 1, j] - reference[t + 1, j])
+                    value -= k_t[i * size + j] * (path[t + 1, j] - reference[t + 1, j])
+            z[i] = value
         for i in range(size):  # z <- C^T z; row i of C^T needs only entries from i on
             value = 0.0
             for k in range(i, size):
-                value += factor[t, k, i] * z[k]
+                value += c[k * size + i] * z[k]
             z[i] = value
         for i in range(size - 1, -1, -1):  # z <- C'^-T z
+            value = z[i]
             for k in range(i + 1, size):
-                z[i] -= new_factor[t, k, i] * z[k]
-            z[i] /= new_factor[t, i, i]
+                value -= new_c[k * size + i] * z[k]
+            z[i] = value / new_c[i * size + i]
         for i in range(size):
             value = reference[t, i] + new_centre[t, i] + z[i]
-            if t < n_steps - 1:
+            if not last:
                 for j in range(size):
-                    value += new_gain[t, i, j] * (out[t + 1, j] - reference[t + 1, j])
+                    value += new_k[i * size + j] * (out[t + 1, j] - reference[t + 1, j])
             out[t, i] = value
 
 
@@ -212,13 +227,13 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
         The path with its z fixed.
     """
     n_steps, size = reference.shape[0], state_size(tables.motion)
-    new_factor, new_gain = np.empty((n_steps, size, size)), np.zeros((n_steps, size, size))
+    new_factor, new_gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
-    work, columns = np.empty((4 * size + 4, size)), np.empty((size, n_steps))
-    log_determinant = _factorise(tables, geometries, reference, new_factor, new_gain, new_centre, work)
+    work, columns = np.empty(4 * size * size + 4 * size), np.empty((size, n_steps))
+    log_determinant = _factorise(tables, geometries, reference, new_factor, new_gain, new_centre, work, size)
     if log_determinant == -np.inf:
         return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
-    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work[0], size)
+    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work, size)
     for t in range(n_steps):
         for d in range(size):
             columns[d, t] = carried[t, d]

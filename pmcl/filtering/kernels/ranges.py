@@ -15,6 +15,7 @@ from pmcl.filtering.kernels.contract import (
     reading_logpdf,
     scratch_rows,
 )
+from pmcl.filtering.kernels.geometry import add_information
 from pmcl.filtering.kernels.rays import inverse_lengths, wall_numerators
 from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
 from pmcl.models.tables import RangeBeams
@@ -161,13 +162,10 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
 @linear_information.register(RangeBeams, allocates=False)
 def _linear_information(sensor, geometry, t, precision, shift):
+    jacobian = geometry.jacobian
     for k in range(geometry.first[t], geometry.first[t + 1]):
         beam = geometry.channel[k]
         scale = sensor.scale[beam]
         weight = geometry.weight[k] / sensor.std[beam] ** 2
         residual = geometry.reading[k] - (scale * geometry.value[k] + sensor.bias[beam])
-        for a in range(3):
-            row = weight * scale * geometry.jacobian[k, a]
-            shift[a] += row * residual
-            for b in range(3):
-                precision[a, b] += row * scale * geometry.jacobian[k, b]
+        add_information(jacobian, k, scale, weight, residual, precision, shift)
