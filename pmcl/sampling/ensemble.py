@@ -68,9 +68,11 @@ class PseudoMarginalTarget:
                 evidence = math.fsum(info.log_evidence for info in infos)
                 effective = float(np.mean([info.effective_size for info in infos]))
                 joint = value + math.fsum(log_joint(t, view) for t, view in zip(tables, views, strict=True))
-        frozen = np.full(d, math.nan)
+        nothing = np.full(d, math.nan)
         rows = max(bound.lengths)
-        state = ChainState(theta, joint, path, frozen, 0.0, rows, frozen, math.nan, evidence, effective, math.nan, 0)
+        state = ChainState(
+            theta, joint, path, nothing, 0.0, rows, nothing, *(math.nan,) * 3, evidence, effective, math.nan, 0
+        )
         return value + evidence, into_blob(state, self.dtype)
 
 

@@ -33,7 +33,9 @@ Float = NDArray[np.float64]
 # Blob fields and the names they have in ArviZ's sample_stats.
 _STATISTICS = {
     "accepted": "acceptance_rate",
-    "transported": "transport_acceptance_rate",
+    "walked": "transport_walk_acceptance_rate",
+    "jumped": "transport_jump_acceptance_rate",
+    "refreshed": "path_block_acceptance_rate",
     "log_evidence": "log_evidence",
     "effective_size": "particle_ess",
     "changed": "path_update_rate",

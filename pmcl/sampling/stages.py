@@ -21,7 +21,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 from pmcl.sampling.sweep import SweepSettings, included
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Transport, linearised_at
+from pmcl.sampling.transport import Proposal, Transport, linearised_at
 
 __all__ = ["Plan", "Stage", "lost_chains", "plan_stages", "restarted", "tuned_transports"]
 
@@ -34,6 +34,8 @@ _LOST_SPREADS, _LOST_NATS = 8.0, 40.0
 # Proposals in the first tuning stage, before draws tell better: 10 % of each positive parameter.
 _FIRST_PROPOSAL = 0.1
 _GAIN = 0.05
+# The independent proposal has this times the covariance of the draws: estimated from few, it is better too wide.
+_JUMP_WIDTH = 1.2
 
 
 class Stage(NamedTuple):
@@ -88,13 +90,13 @@ class Plan:
     kernel: Any = "conditional"
     particles: int = 25
     metropolis_steps: int = 5
-    transport_moves: int = 8
+    transport_moves: int = 6
     burn_in_particles: int = 1000
     data_rate: int = 1
     settle: int = 20
     tuning: tuple[int, ...] = (60, 80, 120)
     draws: int = 1000
-    sweeps_per_draw: int = 4
+    sweeps_per_draw: int = 1
     trajectories: int = 100
 
 
@@ -164,8 +166,8 @@ def tuned_transports(
 ) -> list[Transport | None]:
     """Return a linearisation for each chain from the last steps of a finished stage.
 
-    The reference is the chain's own mean trajectory; the proposal's covariance is pooled over chains (within each, so
-    that chains that have not met do not widen it).
+    The reference is the chain's own mean trajectory. The random walk's covariance is pooled within the chains, so that
+    chains that have not met do not widen it; the independent proposal covers the draws of all chains.
     """
     thetas, paths = backend.get_chain()[-stage.window :], backend.kept_paths()[-stage.window :]
     transform = Unconstrained(bound.parameters)
@@ -173,14 +175,17 @@ def tuned_transports(
     d = thetas.shape[2]
     if stage.settings.data_rate:
         # Draws made while data was being included say nothing about the shape of the posterior.
-        root = _FIRST_PROPOSAL * np.eye(d)
+        proposal = Proposal(_FIRST_PROPOSAL * np.eye(d))
     else:
         u = transform.to_line(thetas)[:, np.unique(source)]
         within = (u - u.mean(axis=0)).reshape(-1, d)
-        covariance = within.T @ within / within.shape[0] + 1e-8 * np.eye(d)
-        root = 2.38 / math.sqrt(d) * np.linalg.cholesky(covariance)
+        around = (u - u.mean(axis=(0, 1))).reshape(-1, d)
+        jitter = 1e-8 * np.eye(d)
+        root = 2.38 / math.sqrt(d) * np.linalg.cholesky(within.T @ within / within.shape[0] + jitter)
+        spread = math.sqrt(_JUMP_WIDTH) * np.linalg.cholesky(around.T @ around / around.shape[0] + jitter)
+        proposal = Proposal(root, u.mean(axis=(0, 1)), spread)
     transports = []
     for k in source:
         reference = included(bound, paths[:, k].mean(axis=0), max(bound.lengths))
-        transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, root))
+        transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, proposal))
     return transports

@@ -29,13 +29,14 @@ class ChainState(NamedTuple):
     log_step : ndarray, shape (d,)
         Logs of the Metropolis proposals' standard deviations.
     log_scale : float
-        Log of the factor on the transport proposal's covariance root.
+        Log of the factor on the transport move's random walk.
     rows : int
         Rows of each log that are included (the paper's l); at the end of burn-in all of them.
     accepted : ndarray, shape (d,)
         Share of accepted Metropolis proposals of each parameter in the last step.
-    transported : float
-        Share of accepted transport moves; NaN when there are none.
+    walked, jumped, refreshed : float
+        Shares of accepted transport moves, random walks and independent proposals, and of rows that the block move
+        redrew; NaN when there are none.
     log_evidence, effective_size, changed : float
         See :class:`pmcl.filtering.particle_filter.SweepInfo`; means over the sweeps of the last step and the logs.
     dead : int
@@ -49,7 +50,9 @@ class ChainState(NamedTuple):
     log_scale: float
     rows: int
     accepted: Float
-    transported: float
+    walked: float
+    jumped: float
+    refreshed: float
     log_evidence: float
     effective_size: float
     changed: float
@@ -72,7 +75,9 @@ def blob_dtype(bound: BoundModel, size: int) -> np.dtype[Any]:
             ("log_scale", float),
             ("rows", np.int64),
             ("accepted", float, (d,)),
-            ("transported", float),
+            ("walked", float),
+            ("jumped", float),
+            ("refreshed", float),
             ("log_evidence", float),
             ("effective_size", float),
             ("changed", float),
@@ -99,7 +104,9 @@ def from_blob(theta: Float, blob: Any) -> ChainState:
         float(blob["log_scale"]),
         int(blob["rows"]),
         np.array(blob["accepted"], dtype=float),
-        float(blob["transported"]),
+        float(blob["walked"]),
+        float(blob["jumped"]),
+        float(blob["refreshed"]),
         float(blob["log_evidence"]),
         float(blob["effective_size"]),
         float(blob["changed"]),

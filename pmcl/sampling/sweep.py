@@ -21,7 +21,7 @@ from pmcl.sampling.transport import Transport, transport_moves
 __all__ = ["SweepSettings", "included", "start_chain", "step"]
 
 # Best acceptance of a Gaussian random walk in several dimensions (Roberts, Gelman, Gilks 1997).
-TRANSPORT_ACCEPTANCE = 0.234
+WALK_ACCEPTANCE = 0.234
 
 Float = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class SweepSettings:
     kernel: Kernel = "conditional"
     particles: int = 25
     metropolis_steps: int = 5
-    transport_moves: int = 8
+    transport_moves: int = 6
     sweeps: int = 1
     data_rate: int = 0
     gain: float = 0.0
@@ -132,7 +132,7 @@ def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts:
             evidence = math.fsum(info.log_evidence for info in infos)
             effective = float(np.mean([info.effective_size for info in infos]))
             state = ChainState(
-                theta, value, path, log_step, 0.0, rows, zeros, math.nan, evidence, effective, 1.0, 0
+                theta, value, path, log_step, 0.0, rows, zeros, *(math.nan,) * 3, evidence, effective, 1.0, 0
             )
             return state, attempt
     raise SamplingError(
@@ -171,7 +171,9 @@ def step(
         return last
     return last._replace(
         accepted=np.mean([one.accepted for one in made], axis=0),
-        transported=float(np.mean([one.transported for one in made])),
+        walked=float(np.mean([one.walked for one in made])),
+        jumped=float(np.mean([one.jumped for one in made])),
+        refreshed=float(np.mean([one.refreshed for one in made])),
         log_evidence=float(np.mean([one.log_evidence for one in made])),
         effective_size=float(np.mean([one.effective_size for one in made])),
         changed=float(np.mean([one.changed for one in made])),
@@ -208,14 +210,18 @@ def _sweep(
     )
     tables = bound.tables(theta)
     value = _joint(bound, theta, tables, paths)
-    transported, log_scale = math.nan, state.log_scale
+    walked = jumped = refreshed = math.nan
+    log_scale = state.log_scale
     if transport is not None and settings.transport_moves > 0 and rows == everything:
-        theta, moved, value, transported = transport_moves(
+        theta, moved, value, walked, jumped, refreshed = transport_moves(
             bound, theta, paths, value, transport, transform, settings.transport_moves, math.exp(log_scale), rng
         )
-        log_scale += settings.gain * settings.transport_moves * (transported - TRANSPORT_ACCEPTANCE)
+        if settings.gain > 0.0:
+            log_scale += 4.0 * settings.gain * (walked - WALK_ACCEPTANCE)
         path = np.concatenate(moved)
-    new = ChainState(theta, value, path, log_step, log_scale, rows, accepted, transported, 0.0, 0.0, 0.0, dead)
+    new = ChainState(
+        theta, value, path, log_step, log_scale, rows, accepted, walked, jumped, refreshed, 0.0, 0.0, 0.0, dead
+    )
     return _told(new, infos)
 
 

@@ -5,6 +5,14 @@ model is linear and Gaussian, and its path is x = m(theta) + L(theta) z with z s
 (:mod:`pmcl.filtering.kernels.linear`). A move proposes theta' and carries the path along with its z fixed; it is accepted with
 p(theta', x', data) |L(theta')| / (p(theta, x, data) |L(theta)|), x' = m(theta') + L(theta') z. This is a deterministic
 bijection, so the move leaves the exact, nonlinear posterior unchanged; how good the linearisation is decides only how often it is accepted.
+
+Because the path is nearly Gaussian given theta, such a move is accepted almost as one on the marginal posterior of theta
+would be. So two kinds of proposals alternate: random walks, which work from anywhere, and independent draws from a
+multivariate t fitted during burn-in, which are accepted more often than not and forget the past at once.
+
+Before them the path is redrawn block by block from the linearised model, each block accepted or refused by itself. Where
+precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the linearised model
+knows where it may go.
 """
 
 from __future__ import annotations
@@ -12,19 +20,59 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-from pmcl.filtering.kernels.linear import factorise, transport_trial
+from pmcl.filtering.kernels.linear import factorise, refresh_blocks, transport_trial
 from pmcl.filtering.predict import reading_geometry
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["Transport", "linearised_at", "transport_moves"]
+__all__ = ["Proposal", "Transport", "TransportResult", "linearised_at", "transport_moves"]
 
 Float = NDArray[np.float64]
+
+# Degrees of freedom of the independent proposal: tails heavier than a posterior's are what makes it safe.
+_FREEDOM = 8.0
+# Rows of a block of the path: short enough to be nearly Gaussian, long enough to forget its neighbours.
+_BLOCK = 24
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """How theta' is proposed, in unconstrained parameters.
+
+    Attributes
+    ----------
+    root : ndarray, shape (d, d)
+        Random walk: u' = u + root @ standard normal.
+    centre, spread : ndarray, shape (d,) and (d, d), optional
+        Independent proposal: multivariate t around `centre` with scale matrix ``spread @ spread.T``, `spread` lower
+        triangular; without it all moves are random walks.
+    """
+
+    root: Float
+    centre: Float | None = None
+    spread: Float | None = None
+
+    def log_density(self, u: Float) -> float:
+        """Return the log density of the independent proposal at u, up to a constant."""
+        z = solve_triangular(self.spread, u - self.centre, lower=True, check_finite=False)
+        return -0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
+
+
+class TransportResult(NamedTuple):
+    """State after some moves; shares of accepted walks and jumps (NaN: none made), and of the path's rows redrawn."""
+
+    theta: Float
+    paths: list[Float]
+    log_joint: float
+    walked: float
+    jumped: float
+    refreshed: float
 
 
 @dataclass(frozen=True)
@@ -37,17 +85,17 @@ class Transport:
         Reference trajectory of each log.
     geometries : tuple of tuple
         For each log and sensor: its readings, linearised at the reference.
-    root : ndarray, shape (d, d)
-        The proposal in unconstrained parameters is u' = u + root @ standard normal.
+    proposal : Proposal
+        How theta' is proposed.
     """
 
     references: tuple[Float, ...]
     geometries: tuple[tuple[Any, ...], ...]
-    root: Float
+    proposal: Proposal
 
 
 def linearised_at(
-    bound: BoundModel, theta: Float, references: Sequence[Float], root: Float
+    bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal
 ) -> Transport | None:
     """Linearise the model at `theta` and one reference trajectory for each log.
 
@@ -60,7 +108,7 @@ def linearised_at(
         if any(geometry is None for geometry in made):
             return None
         geometries.append(made)
-    transport = Transport(tuple(np.ascontiguousarray(r) for r in references), tuple(geometries), np.array(root))
+    transport = Transport(tuple(np.ascontiguousarray(r) for r in references), tuple(geometries), proposal)
     return transport if _factorisations(bound, theta, transport) is not None else None
 
 
@@ -84,8 +132,8 @@ def transport_moves(
     n_moves: int,
     scale: float,
     rng: np.random.Generator,
-) -> tuple[Float, list[Float], float, float]:
-    """Make `n_moves` transport moves.
+) -> TransportResult:
+    """Redraw the path block by block, then make `n_moves` transport moves, random walks and independent proposals in turn.
 
     Parameters
     ----------
@@ -98,35 +146,42 @@ def transport_moves(
     log_joint : float
         log p(theta, trajectories, readings) at the current state.
     transport : Transport
-        The linearisation; it must not depend on the current state.
+        The linearisation and proposal; they must not depend on the current state.
     transform : Unconstrained
         The map to unconstrained parameters.
     n_moves : int
         Number of proposals.
     scale : float
-        Factor on the proposal; frozen after burn-in.
+        Factor on the random walk; frozen after burn-in.
     rng : numpy.random.Generator
         Source of randomness.
 
     Returns
     -------
-    theta, paths, log_joint
-        The new state.
-    accepted : float
-        Share of accepted proposals. Cost: O(T D^3) for each.
+    TransportResult
+        Cost: O(T D^3) for each proposal.
     """
-    paths = list(paths)
     now = _factorisations(bound, theta, transport)
     if now is None:
-        return theta, paths, log_joint, 0.0
+        return TransportResult(theta, list(paths), log_joint, 0.0, math.nan, 0.0)
+    paths, log_joint, refreshed = _redrawn(bound, theta, paths, transport, rng)
+    proposal = transport.proposal
     u = transform.to_line(theta)
     _, log_jacobian = transform.from_line(u)
     current = log_joint + log_jacobian - math.fsum(one[0] for one in now)
-    steps = scale * (rng.standard_normal((n_moves, theta.size)) @ transport.root.T)
+    normal = rng.standard_normal((n_moves, theta.size))
+    stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
-    accepted = 0
-    for step, threshold in zip(steps, log_uniform, strict=True):
-        u_new = u + step
+    made, accepted = [0, 0], [0, 0]
+    for move in range(n_moves):
+        kind = move % 2 if proposal.centre is not None else 0
+        made[kind] += 1
+        log_forward = log_back = 0.0
+        if kind and proposal.centre is not None and proposal.spread is not None:
+            u_new = proposal.centre + stretch[move] * (proposal.spread @ normal[move])
+            log_forward, log_back = proposal.log_density(u_new), proposal.log_density(u)
+        else:
+            u_new = u + scale * (proposal.root @ normal[move])
         theta_new, log_jacobian = transform.from_line(u_new)
         prior = bound.log_prior(theta_new)
         if not prior > -math.inf:
@@ -140,9 +195,31 @@ def transport_moves(
         joint_new = prior + math.fsum(trial[0] for trial in trials)
         value = joint_new + log_jacobian - math.fsum(trial[1] for trial in trials)
         # A comparison with NaN (inf - inf of a failed factorisation) is False: such proposals are refused.
-        if threshold < value - current:
-            accepted += 1
+        if log_uniform[move] < value - current + log_back - log_forward:
+            accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
             paths = [trial[5] for trial in trials]
             now = [trial[1:5] for trial in trials]
-    return theta, paths, log_joint, accepted / max(n_moves, 1)
+    shares = [yes / all_made if all_made else math.nan for yes, all_made in zip(accepted, made, strict=True)]
+    return TransportResult(theta, paths, log_joint, *shares, refreshed)
+
+
+def _redrawn(
+    bound: BoundModel, theta: Float, paths: Sequence[Float], transport: Transport, rng: np.random.Generator
+) -> tuple[list[Float], float, float]:
+    """Redraw all paths in blocks whose boundaries are chosen anew each time; return (paths, log joint, share accepted)."""
+    new, log_joint, accepted = [], bound.log_prior(theta), []
+    for tables, geometry, reference, old in zip(
+        bound.tables(theta), transport.geometries, transport.references, paths, strict=True
+    ):
+        n_steps = old.shape[0]
+        inner = np.arange(1 + rng.integers(_BLOCK), n_steps, _BLOCK)
+        starts = np.concatenate([[0], inner, [n_steps]]).astype(np.int64)
+        path, noise = old.copy(), rng.standard_normal(old.shape)
+        value, share = refresh_blocks(
+            tables, geometry, reference, path, starts, noise, np.log(rng.random(starts.size - 1))
+        )
+        new.append(path)
+        log_joint += value
+        accepted.append(share)
+    return new, log_joint, float(np.mean(accepted))

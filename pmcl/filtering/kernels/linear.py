@@ -20,10 +20,11 @@ from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import linearise_start, linearise_transition, state_size
 from pmcl.filtering.kernels.smc import joint, work_rows
 from pmcl.filtering.kernels.tuples import sum_information
+from pmcl.filtering.kernels.vector_math import total
 
 # mypy: disable-error-code="no-untyped-def"
 
-__all__ = ["carry", "factorise", "transport_trial"]
+__all__ = ["carry", "factorise", "refresh_blocks", "transport_trial"]
 
 
 @kernel
@@ -59,10 +60,11 @@ def _solve(c, inverse_diagonal, b, begin, stride, size):
 
 
 @kernel
-def _factorise(tables, geometries, reference, factor, gain, centre, work, size):
-    """Eliminate forward in time; `factor` and `gain` are (T, D * D), `centre` (T, D). Returns the log determinant.
+def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size):
+    """Eliminate the rows begin ... stop - 1 forward in time, given their neighbours in `path` where they have any.
 
-    `size` must be the constant D: the small loops are then unrolled. Matrices are flat for the same reason.
+    `factor` and `gain` are (T, D * D), `centre` (T, D). `size` must be the constant D: the small loops are then unrolled;
+    matrices are flat for the same reason. Returns the log determinant.
     """
     n_steps = reference.shape[0]
     square = size * size
@@ -77,15 +79,30 @@ def _factorise(tables, geometries, reference, factor, gain, centre, work, size):
         shift[i] = 0.0
     for i in range(square):
         information[i] = 0.0
-    linearise_start(tables.start, reference[0], information_2d, shift)
+    if begin == 0:
+        linearise_start(tables.start, reference[0], information_2d, shift)
+    else:
+        linearise_transition(
+            tables.motion, begin, reference[begin - 1], reference[begin], jacobian_2d, offset, noise_2d
+        )
+        for i in range(size):
+            for k in range(size):
+                offset[i] += jacobian[i * size + k] * (path[begin - 1, k] - reference[begin - 1, k])
+        for i in range(size):
+            for k in range(size):
+                information[i * size + k] = noise[i * size + k]
+                shift[i] += noise[i * size + k] * offset[k]
     log_determinant = 0.0
-    for t in range(n_steps):
+    for t in range(begin, stop):
         sum_information(tables.sensors, geometries, t, information_2d, shift)
-        last = t == n_steps - 1
-        if not last:
+        inner = t < stop - 1
+        if t < n_steps - 1:
             linearise_transition(
                 tables.motion, t + 1, reference[t], reference[t + 1], jacobian_2d, offset, noise_2d
             )
+            if not inner:
+                for i in range(size):
+                    offset[i] -= path[stop, i] - reference[stop, i]
             for i in range(size):
                 value = 0.0
                 for k in range(size):
@@ -117,7 +134,7 @@ def _factorise(tables, geometries, reference, factor, gain, centre, work, size):
             centre_t[i] = shift[i]
         log_determinant += math.log(determinant)
         _solve(c, inverse_diagonal, centre_t, 0, 1, size)
-        if not last:
+        if inner:
             for i in range(size):
                 for j in range(size):
                     k_t[i * size + j] = weighted[j * size + i]
@@ -162,7 +179,9 @@ def factorise(tables, geometries, reference):
     n_steps, size = reference.shape[0], state_size(tables.motion)
     factor, gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     centre, work = np.empty((n_steps, size)), np.empty(4 * size * size + 4 * size)
-    log_determinant = _factorise(tables, geometries, reference, factor, gain, centre, work, size)
+    log_determinant = _eliminate(
+        tables, geometries, reference, reference, 0, n_steps, factor, gain, centre, work, size
+    )
     return log_determinant, factor, gain, centre
 
 
@@ -230,7 +249,9 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
     new_factor, new_gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
     work, columns = np.empty(4 * size * size + 4 * size), np.empty((size, n_steps))
-    log_determinant = _factorise(tables, geometries, reference, new_factor, new_gain, new_centre, work, size)
+    log_determinant = _eliminate(
+        tables, geometries, reference, path, 0, n_steps, new_factor, new_gain, new_centre, work, size
+    )
     if log_determinant == -np.inf:
         return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
     _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work, size)
@@ -239,3 +260,111 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
             columns[d, t] = carried[t, d]
     log_joint = joint(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
     return log_joint, log_determinant, new_factor, new_gain, new_centre, carried
+
+
+@kernel
+def _redraw(path, reference, begin, stop, factor, gain, centre, noise, out, z, size):
+    """Draw the rows begin ... stop - 1 anew into `out`; return half the change of the squared norm of z."""
+    change = 0.0
+    for t in range(stop - 1, begin - 1, -1):
+        c, k_t = factor[t], gain[t]
+        inner = t < stop - 1
+        for i in range(size):
+            value = path[t, i] - reference[t, i] - centre[t, i]
+            if inner:
+                for j in range(size):
+                    value -= k_t[i * size + j] * (path[t + 1, j] - reference[t + 1, j])
+            z[i] = value
+        for i in range(size):
+            value = 0.0
+            for k in range(i, size):
+                value += c[k * size + i] * z[k]
+            z[i] = noise[t, i]
+            change += 0.5 * (noise[t, i] * noise[t, i] - value * value)
+        for i in range(size - 1, -1, -1):
+            value = z[i]
+            for k in range(i + 1, size):
+                value -= c[k * size + i] * z[k]
+            z[i] = value / c[i * size + i]
+        for i in range(size):
+            value = reference[t, i] + centre[t, i] + z[i]
+            if inner:
+                for j in range(size):
+                    value += k_t[i * size + j] * (out[t + 1, j] - reference[t + 1, j])
+            out[t, i] = value
+    return change
+
+
+@kernel
+def _joint_rows(tables, path, columns, rows, scratch):
+    for t in range(path.shape[0]):
+        for d in range(path.shape[1]):
+            columns[d, t] = path[t, d]
+    return joint(tables, columns, rows, scratch)
+
+
+@entry
+def refresh_blocks(tables, geometries, reference, path, starts, noise, log_uniform):
+    """Redraw a trajectory block by block from the linearised model, each block given its neighbours, in place.
+
+    Every second block is proposed at once, then the others: blocks that do not touch are independent given the rest, so
+    each is accepted or refused by itself (Metropolis-Hastings with the linearised conditional as proposal). Short
+    blocks are nearly Gaussian and nearly always accepted.
+
+    Parameters
+    ----------
+    tables, geometries, reference
+        As for :func:`factorise`, at the current theta.
+    path : ndarray, shape (T, D)
+        The trajectory; it is changed.
+    starts : ndarray of int, shape (n_blocks + 1,)
+        First row of each block, and T.
+    noise : ndarray, shape (T, D)
+        Standard normals.
+    log_uniform : ndarray, shape (n_blocks,)
+        Logs of uniform numbers.
+
+    Returns
+    -------
+    log_joint : float
+        log p(path, readings | theta) afterwards.
+    accepted : float
+        Share of rows whose block was accepted.
+    """
+    n_steps, size = reference.shape[0], state_size(tables.motion)
+    n_blocks = starts.size - 1
+    factor, gain, centre = np.empty((n_steps, size * size)), np.empty((n_steps, size * size)), np.empty((n_steps, size))
+    work, z = np.empty(4 * size * size + 4 * size), np.empty(size)
+    columns, scratch = np.empty((size, n_steps)), np.empty((work_rows(tables), max(n_steps, size)))
+    rows, new_rows, log_ratio = np.empty(n_steps), np.empty(n_steps), np.empty(n_blocks)
+    proposed = np.empty_like(path)
+    _joint_rows(tables, path, columns, rows, scratch)
+    accepted = 0
+    for parity in range(2):
+        for t in range(n_steps):
+            for d in range(size):
+                proposed[t, d] = path[t, d]
+        for block in range(parity, n_blocks, 2):
+            begin, stop = starts[block], starts[block + 1]
+            log_ratio[block] = -np.inf
+            found = _eliminate(
+                tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size
+            )
+            if found > -np.inf:
+                log_ratio[block] = _redraw(
+                    path, reference, begin, stop, factor, gain, centre, noise, proposed, z, size
+                )
+        _joint_rows(tables, proposed, columns, new_rows, scratch)
+        for block in range(parity, n_blocks, 2):
+            begin, stop = starts[block], starts[block + 1]
+            # The row after the block holds the transition out of it.
+            for t in range(begin, min(stop + 1, n_steps)):
+                log_ratio[block] += new_rows[t] - rows[t]
+            if log_uniform[block] < log_ratio[block]:
+                accepted += stop - begin
+                for t in range(begin, min(stop + 1, n_steps)):
+                    rows[t] = new_rows[t]
+                for t in range(begin, stop):
+                    for d in range(size):
+                        path[t, d] = proposed[t, d]
+    return total(rows), accepted / n_steps

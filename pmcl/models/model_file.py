@@ -1,0 +1,185 @@
+"""Model files: a robot model as TOML that people read and edit.
+
+Every key may be left out; what is left out is what :func:`pmcl.models.robot_model.default_model` does with the log.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tomllib
+from collections.abc import Iterable, Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+
+from pmcl.errors import ModelError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.model_text import MOTIONS, model_text
+from pmcl.models.parts import Part
+from pmcl.models.prior_file import prior_from_table
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.sensors import LandmarkNoise, RangeNoise
+from pmcl.models.start import StartBelief
+
+__all__ = ["model_text", "read_model"]
+
+_ANYWHERE = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
+_SENSORS = ("range", "landmarks")
+_LANDMARK_FLAGS = ("range", "bearing", "size", "outliers")
+
+
+def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
+    """Read a model file.
+
+    Parameters
+    ----------
+    path : path
+        TOML, as :func:`pmcl.models.model_text.model_text` writes it.
+    log : RobotLog
+        Decides what the file leaves open: which sensors there are and what they read.
+
+    Returns
+    -------
+    RobotModel
+
+    Raises
+    ------
+    ModelError
+        When the file is missing or not TOML, holds an unknown key, a value of the wrong kind, a bad distribution, or
+        fixes a parameter outside its range; the message names file and key.
+    """
+    where = os.fspath(path)
+    content = _load(where)
+    _known_keys(where, "", content, ("motion", "start", "sensors", "priors", "fixed"))
+    usual = default_model(log)
+    motion = MOTIONS[_choice(where, "motion", content.get("motion", "increment"), MOTIONS)]()
+    sensors = _sensors(where, content["sensors"], log) if "sensors" in content else usual.sensors
+    start = _start(where, content.get("start", "log"))
+    names = [parameter.name for part in (start, motion, *sensors) for parameter in part.parameters]
+    priors_given, fixed_given = _table(where, "priors", content), _table(where, "fixed", content)
+    _known_keys(where, "priors", priors_given, names)
+    _known_keys(where, "fixed", fixed_given, names)
+    both = sorted(set(priors_given) & set(fixed_given))
+    if both:
+        _fail(
+            where, f"fixed.{both[0]}", f"expected either a fixed value or a prior, but {both[0]} has both; remove one"
+        )
+    priors = {name: prior_from_table(where, name, table) for name, table in priors_given.items()}
+    fixed = {name: _number(where, f"fixed.{name}", value) for name, value in fixed_given.items()}
+    try:
+        return RobotModel(motion, sensors, start, priors, fixed)
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+
+
+def _load(where: str) -> dict[str, Any]:
+    try:
+        with open(where, "rb") as stream:
+            return tomllib.load(stream)
+    except OSError as error:
+        raise ModelError(f"{where}: expected a model file, but got '{error.strerror}'; check the path") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{where}: expected a model file in TOML, but got one that cannot be read ({reason}); correct it"
+        ) from None
+
+
+def _fail(where: str, key: str, message: str) -> NoReturn:
+    raise ModelError(f"{where}, key '{key}': {message}")
+
+
+def _known_keys(where: str, table: str, given: Mapping[str, Any], known: Iterable[str]) -> None:
+    names = list(known)
+    for key in given:
+        if key not in names:
+            full = f"{table}.{key}" if table else key
+            near = difflib.get_close_matches(key, names, 1, cutoff=0.5)
+            advice = f"did you mean '{near[0]}'?" if near else "remove it"
+            _fail(where, full, f"expected one of {', '.join(names)}, but got '{key}'; {advice}")
+
+
+def _choice(where: str, key: str, value: Any, choices: Iterable[str]) -> str:
+    names = list(choices)
+    if isinstance(value, str) and value in names:
+        return value
+    near = difflib.get_close_matches(value, names, 1, cutoff=0.5) if isinstance(value, str) else []
+    advice = f"did you mean '{near[0]}'?" if near else "choose one of these"
+    _fail(where, key, f"expected {' or '.join(repr(name) for name in names)}, but got {value!r}; {advice}")
+
+
+def _table(where: str, key: str, content: Mapping[str, Any]) -> dict[str, Any]:
+    value = content.get(key, {})
+    if not isinstance(value, dict):
+        _fail(where, key, f"expected a table, but got {value!r}; write [{key}] and its keys below")
+    return value
+
+
+def _number(where: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        _fail(where, key, f"expected a finite number, but got {value!r}; correct it")
+    return float(value)
+
+
+def _flag(where: str, key: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        _fail(where, key, f"expected true or false, but got {value!r}; correct it")
+    return value
+
+
+def _start(where: str, given: Any) -> StartBelief:
+    if not isinstance(given, dict):
+        return _ANYWHERE if _choice(where, "start", given, ("log", "anywhere")) == "anywhere" else StartBelief()
+    _known_keys(where, "start", given, ("mean", "std"))
+    beliefs: dict[str, tuple[float, float, float]] = {}
+    for key, value in given.items():
+        if not isinstance(value, list) or len(value) != 3:
+            _fail(
+                where,
+                f"start.{key}",
+                f"expected three numbers (x [m], y [m], heading [rad]), but got {value!r}; correct it",
+            )
+        # inf is a number here: it stands for a component of which nothing is known.
+        x, y, heading = (
+            np.inf if key == "std" and part == np.inf else _number(where, f"start.{key}", part) for part in value
+        )
+        beliefs[key] = (x, y, heading)
+    return StartBelief(beliefs.get("mean"), beliefs.get("std"))
+
+
+def _sensors(where: str, given: Any, log: RobotLog) -> tuple[Part, ...]:
+    if not isinstance(given, dict):
+        _fail(where, "sensors", f"expected a table, but got {given!r}; write [sensors.range] or [sensors.landmarks]")
+    _known_keys(where, "sensors", given, _SENSORS)
+    if not given:
+        _fail(
+            where,
+            "sensors",
+            "expected a table [sensors.range] or [sensors.landmarks], but got none; add one, or leave [sensors] out",
+        )
+    made: list[Part] = []
+    for name in _SENSORS:
+        if name not in given:
+            continue
+        settings = _table(where, name, given)
+        key = f"sensors.{name}"
+        if name == "range":
+            _known_keys(where, key, settings, ("outliers",))
+            made.append(RangeNoise(_flag(where, f"{key}.outliers", settings.get("outliers", False))))
+        else:
+            made.append(_landmarks(where, key, settings, log))
+    return tuple(made)
+
+
+def _landmarks(where: str, key: str, settings: dict[str, Any], log: RobotLog) -> LandmarkNoise:
+    _known_keys(where, key, settings, (*_LANDMARK_FLAGS, "size_at_one_metre"))
+    held = (log.landmark_range, log.landmark_bearing, log.landmark_size)
+    usual = {**dict(zip(_LANDMARK_FLAGS, (values is not None for values in held), strict=False)), "outliers": False}
+    flags = {name: _flag(where, f"{key}.{name}", settings.get(name, usual[name])) for name in _LANDMARK_FLAGS}
+    size = settings.get("size_at_one_metre")
+    if size is not None:
+        size = _number(where, f"{key}.size_at_one_metre", size)
+        if size <= 0.0:
+            _fail(where, f"{key}.size_at_one_metre", f"expected pixels > 0, but got {size:g}; correct it")
+    return LandmarkNoise(**flags, size_at_one_metre=size)

@@ -1,0 +1,150 @@
+"""Writing model files, with a comment on everything that a reader may want to change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NoReturn
+
+import numpy as np
+import tomlkit
+from tomlkit.items import Table
+
+from pmcl.errors import ModelError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
+from pmcl.models.parts import Part
+from pmcl.models.prior_file import prior_to_table
+from pmcl.models.robot_model import RobotModel
+from pmcl.models.sensors import LandmarkNoise, RangeNoise
+from pmcl.models.start import StartBelief
+
+__all__ = ["MOTIONS", "model_text"]
+
+MOTIONS: Mapping[str, type[IncrementNoise] | type[GrowingIncrementNoise]] = {
+    "increment": IncrementNoise,
+    "growing": GrowingIncrementNoise,
+}
+"""Motion models by the name that model files have for them."""
+
+
+def model_text(model: RobotModel, log: RobotLog) -> str:
+    """Write a model as the text of a model file; reading it back gives the same model.
+
+    Parameters
+    ----------
+    model : RobotModel
+        Made of the parts that model files know.
+    log : RobotLog
+        Named in the heading.
+
+    Returns
+    -------
+    str
+        TOML with comments.
+
+    Raises
+    ------
+    ModelError
+        When a part or a prior is of a kind that a model file cannot hold.
+    """
+    if not model.sensors:
+        raise ModelError("expected a model with at least one sensor, but got none; nothing could be inferred with it")
+    document = tomlkit.document()
+    document.add(tomlkit.comment(f"pmcl model for {log.robot or 'the robot'} of {log.where}"))
+    document.add(tomlkit.comment("SI units: metres, radians, seconds. Keys that are left out follow the log."))
+    document.add(tomlkit.nl())
+    document.add(tomlkit.comment("increment: the noise of each odometry increment has constant standard deviations"))
+    document.add(tomlkit.comment("growing:   they grow with the distance and the turn of the increment"))
+    document["motion"] = _motion_name(model.motion)
+    document.add(tomlkit.nl())
+    _add_start(document, model.start)
+    sensors = tomlkit.table(is_super_table=True)
+    for part in model.sensors:
+        name, table = _sensor(part)
+        sensors[name] = table
+    document["sensors"] = sensors
+    _add_priors(document, model)
+    _add_fixed(document, model)
+    return tomlkit.dumps(document)
+
+
+def _motion_name(motion: Part) -> str:
+    for name, kind in MOTIONS.items():
+        if type(motion) is kind and motion.parameters == kind().parameters:
+            return name
+    _refuse(motion)
+
+
+def _refuse(part: Part) -> NoReturn:
+    raise ModelError(
+        "expected parts that a model file knows (motion, start, range and landmark noise), but got "
+        f"{type(part).__name__}; keep this model in Python"
+    )
+
+
+def _add_start(document: tomlkit.TOMLDocument, start: Part) -> None:
+    if type(start) is not StartBelief:
+        _refuse(start)
+    if start.std is not None and np.isinf(start.std).all():
+        _add_commented(document, "start", "anywhere", 'or "log", which tells where the robot begins')
+    elif start.mean is None and start.std is None:
+        _add_commented(document, "start", "log", 'or "anywhere"; or, in its place, a table [start] with mean and std')
+    else:
+        table = tomlkit.table()
+        table.comment("Gaussian belief about the first pose: x [m], y [m], heading [rad]; a std of inf: unknown")
+        for key, value in (("mean", start.mean), ("std", start.std)):
+            if value is not None:
+                table[key] = [float(part) for part in value]
+        document["start"] = table
+
+
+def _add_commented(document: tomlkit.TOMLDocument, key: str, value: str, comment: str) -> None:
+    item = tomlkit.item(value)
+    item.comment(comment)
+    document[key] = item
+
+
+def _sensor(part: Part) -> tuple[str, Table]:
+    table = tomlkit.table()
+    if type(part) is RangeNoise:
+        table.comment("range beams against the walls")
+        table["outliers"] = tomlkit.item(part.outliers).comment("whether readings may be gross errors")
+        return "range", table
+    if type(part) is not LandmarkNoise:
+        _refuse(part)
+    table.comment("sightings of known landmarks: which readings to use")
+    for name in ("range", "bearing", "size"):
+        table[name] = getattr(part, name)
+    table["outliers"] = tomlkit.item(part.outliers).comment("whether sightings may be gross errors")
+    if part.size_at_one_metre is not None:
+        table["size_at_one_metre"] = tomlkit.item(float(part.size_at_one_metre)).comment("pixels")
+    return "landmarks", table
+
+
+def _add_priors(document: tomlkit.TOMLDocument, model: RobotModel) -> None:
+    if not model.parameters:
+        return
+    priors = tomlkit.table(is_super_table=True)
+    for parameter in model.parameters:
+        table = tomlkit.table()
+        unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+        table.comment(f"{parameter.description}{unit}; prior median {float(parameter.prior.median()):.3g}")
+        for key, value in prior_to_table(parameter.name, parameter.prior).items():
+            table[key] = value
+        priors[parameter.name] = table
+    document["priors"] = priors
+
+
+def _add_fixed(document: tomlkit.TOMLDocument, model: RobotModel) -> None:
+    if not model.fixed:
+        example = model.parameters[0].name if model.parameters else "sigma_left"
+        document.add(tomlkit.nl())
+        document.add(tomlkit.comment("To hold a parameter at a known value, remove its prior and write:"))
+        document.add(tomlkit.comment("[fixed]"))
+        document.add(tomlkit.comment(f"{example} = 0.03"))
+        return
+    fixed = tomlkit.table()
+    fixed.comment("known, not inferred")
+    for name, value in model.fixed.items():
+        fixed[name] = float(value)
+    document["fixed"] = fixed

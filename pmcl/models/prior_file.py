@@ -1,0 +1,128 @@
+"""Priors in model files: the name of a scipy.stats distribution and its arguments."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from typing import Any, NoReturn
+
+import numpy as np
+from scipy import stats
+
+from pmcl.errors import ModelError
+from pmcl.models.parameters import prior_support
+
+__all__ = ["prior_from_table", "prior_to_table"]
+
+
+def prior_from_table(where: str, name: str, table: Any) -> Any:
+    """Turn ``{"distribution": "gamma", "a": 2.0, "scale": 0.05}`` into a frozen distribution.
+
+    Parameters
+    ----------
+    where : str
+        File, for messages.
+    name : str
+        Parameter that the prior belongs to.
+    table : dict
+        ``distribution``, the shape arguments under their scipy names, and optionally ``loc`` and ``scale``.
+
+    Returns
+    -------
+    scipy.stats frozen distribution
+
+    Raises
+    ------
+    ModelError
+        When there is no such distribution, an argument is unknown, missing or not allowed, or the support is not one
+        that the parameter can have.
+    """
+    key = f"priors.{name}"
+    if not isinstance(table, dict) or "distribution" not in table:
+        _fail(where, key, f"expected a table with the key 'distribution', but got {table!r}; write for example "
+              '{ distribution = "gamma", a = 2.0, scale = 0.05 }')  # fmt: skip
+    family = _family(where, f"{key}.distribution", table["distribution"])
+    shapes = [shape.strip() for shape in family.shapes.split(",")] if family.shapes else []
+    arguments = {argument: value for argument, value in table.items() if argument != "distribution"}
+    known = [*shapes, "loc", "scale"]
+    for argument, value in arguments.items():
+        if argument not in known:
+            near = difflib.get_close_matches(argument, known, 1, cutoff=0.4)
+            advice = f"did you mean '{near[0]}'?" if near else "remove it"
+            _fail(
+                where,
+                f"{key}.{argument}",
+                f"expected one of {', '.join(known)} for {family.name}, but got '{argument}'; {advice}",
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            _fail(where, f"{key}.{argument}", f"expected a finite number, but got {value!r}; correct it")
+    missing = [shape for shape in shapes if shape not in arguments]
+    if missing:
+        _fail(
+            where, key, f"expected the shape '{missing[0]}' of {family.name}, but got none; add {missing[0]} = NUMBER"
+        )
+    # Shapes by position and the rest by name, as priors are usually written in Python.
+    positional = [arguments.pop(shape) for shape in shapes]
+    return _checked(where, key, name, family(*positional, **arguments))
+
+
+def prior_to_table(name: str, prior: Any) -> dict[str, str | int | float]:
+    """Undo :func:`prior_from_table`.
+
+    Raises
+    ------
+    ModelError
+        For a prior that is no frozen continuous distribution of scipy.stats, which a file cannot name.
+    """
+    family = getattr(prior, "dist", None)
+    if not isinstance(family, stats.rv_continuous) or _by_name(family.name) is None:
+        raise ModelError(
+            f"expected a prior of {name} that is a named distribution of scipy.stats, but got {type(prior).__name__}; "
+            "a model file can hold no other: build the model in Python"
+        )
+    shapes = [shape.strip() for shape in family.shapes.split(",")] if family.shapes else []
+    given = {**dict(zip([*shapes, "loc", "scale"], prior.args, strict=False)), **prior.kwds}
+    return {"distribution": family.name} | {key: _plain(value) for key, value in given.items()}
+
+
+def _by_name(name: str) -> stats.rv_continuous | None:
+    found = getattr(stats, name, None)
+    return found if isinstance(found, stats.rv_continuous) else None
+
+
+def _family(where: str, key: str, name: Any) -> stats.rv_continuous:
+    found = _by_name(name) if isinstance(name, str) else None
+    if found is None:
+        names = [each for each in dir(stats) if _by_name(each) is not None]
+        near = difflib.get_close_matches(str(name), names, 1, cutoff=0.5)
+        advice = f"did you mean '{near[0]}'?" if near else "gamma, lognorm, norm, uniform and beta are usual"
+        _fail(where, key, f"expected the name of a continuous distribution of scipy.stats, but got {name!r}; {advice}")
+    return found
+
+
+def _checked(where: str, key: str, name: str, prior: Any) -> Any:
+    low, high = prior_support(prior)
+    problem = ""
+    if not low < high:
+        problem = f"expected arguments that {prior.dist.name} allows, but got {_told(prior)}; correct them"
+    elif name.startswith("sigma_") and low < 0.0:
+        problem = f"expected numbers >= 0, but {_told(prior)} reaches down to {low:g}; choose gamma or lognorm"
+    elif name.endswith("_weight") and (low < 0.0 or high > 1.0):
+        problem = f"expected numbers in [0, 1], but {_told(prior)} spans {low:g} to {high:g}; choose beta"
+    if problem:
+        _fail(where, key, problem)
+    return prior
+
+
+def _told(prior: Any) -> str:
+    arguments = [f"{value:g}" for value in prior.args] + [f"{key}={value:g}" for key, value in prior.kwds.items()]
+    return f"{prior.dist.name}({', '.join(arguments)})"
+
+
+def _plain(value: Any) -> int | float:
+    plain = value.item() if isinstance(value, np.generic | np.ndarray) else value
+    return int(plain) if isinstance(plain, int) else float(plain)
+
+
+def _fail(where: str, key: str, message: str) -> NoReturn:
+    raise ModelError(f"{where}, key '{key}': {message}")
