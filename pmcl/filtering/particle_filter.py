@@ -55,8 +55,10 @@ class FilterPass:
         return np.asarray(w / w.sum())
 
     def mean(self) -> Float:
-        """Return the weighted mean state at each time, (T, D). Headings are on the real line here, so a plain mean is right
-        while the particles agree; for a belief spread over the circle use :func:`pmcl.geometry.circular_mean`.
+        """Return the weighted mean state at each time, (T, D).
+
+        Headings are on the real line here, so a plain mean is right while the particles agree; for a belief spread
+        over the circle use :func:`pmcl.geometry.circular_mean`.
         """
         return np.array([self.particles[t] @ self.weights(t) for t in range(self.particles.shape[0])])
 
@@ -182,8 +184,8 @@ def sweep_path(
     rng : numpy.random.Generator
         Source of randomness.
     kernel : {"smoothing", "conditional"}
-        ``smoothing``: filter forward, sample backward (the paper's; exact only as n grows). ``conditional``: conditional SMC
-        with backward sampling (exact for any n; Whiteley 2010, Lindsten and Schon 2013).
+        ``smoothing``: filter forward, sample backward (the paper's; exact only as n grows). ``conditional``:
+        conditional SMC with backward sampling (exact for any n; Whiteley 2010, Lindsten and Schon 2013).
 
     Raises
     ------

@@ -55,15 +55,15 @@ def trajectory_statistics(
 
 
 def _merged(found: list[NamedTuple]) -> tuple[NamedTuple, ...]:
-    """Put all sums of squares into one group table: fewer parts compile faster and several logs cost no more than one."""
+    """Put all sums of squares into one table: fewer parts compile faster, and several logs cost no more than one."""
     sums = [statistics for statistics in found if isinstance(statistics, GaussianSums)]
     others = [statistics for statistics in found if not isinstance(statistics, GaussianSums)]
     if not sums:
         return tuple(others)
     joined = GaussianSums(
-        np.concatenate([s.index for s in sums]),
+        np.concatenate([s.slots for s in sums]),
         np.concatenate([s.value for s in sums]),
-        np.concatenate([s.count for s in sums]),
+        np.concatenate([s.counts for s in sums]),
         np.concatenate([s.squares for s in sums]),
     )
     return (joined, *others)

@@ -46,7 +46,8 @@ def increment_residuals(mean: Float, path: NDArray[np.float64]) -> Float:
     Returns
     -------
     ndarray, shape (T - 1, 3)
-        Residuals in the robot frame at the previous sample. Turns are compared unwrapped: see :mod:`pmcl.models.tables`.
+        Residuals in the robot frame at the previous sample. Turns are compared unwrapped: see
+        :mod:`pmcl.models.tables`.
     """
     step = np.diff(path[:, :3], axis=0)
     c, s = np.cos(path[:-1, 2]), np.sin(path[:-1, 2])
@@ -92,8 +93,8 @@ class GrowingIncrementNoise:
     """Noise whose standard deviations grow with the size of the increment.
 
     Variances add: var_forward = sigma_forward^2 + (sigma_forward_per_metre d)^2,
-    var_turn = sigma_turn^2 + (sigma_turn_per_radian |turn|)^2 + (sigma_turn_per_metre d)^2, with d the distance of the odometry increment
-    (compare alpha1 to alpha4 in Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 5.4).
+    var_turn = sigma_turn^2 + (sigma_turn_per_radian |turn|)^2 + (sigma_turn_per_metre d)^2, with d the distance of
+    the odometry increment (compare alpha1 to alpha4 in Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 5.4).
     """
 
     parameters: tuple[Parameter, ...] = _parameters(_BASE + _GROWTH)
@@ -103,7 +104,7 @@ class GrowingIncrementNoise:
         mean = owned(log.odometry)
         if not (np.hypot(mean[:, 0], mean[:, 1]).any() or mean[:, 2].any()):
             raise ModelError(
-                f"{log.where}: noise that grows with motion needs a robot that moves, but every odometry increment is zero; "
+                f"{log.where}: noise that grows needs a robot that moves, but all odometry increments are zero; "
                 "use motion = 'increment'"
             )
         return BoundGrowingIncrementNoise(mean, np.hypot(mean[:, 0], mean[:, 1]), np.abs(mean[:, 2]))
@@ -126,9 +127,7 @@ class BoundGrowingIncrementNoise:
         std[:, 2] = np.sqrt(turn**2 + (turn_per_radian * self.turn) ** 2 + (turn_per_metre * self.distance) ** 2)
         return IncrementMotion(self.mean, std)
 
-    def statistics(
-        self, table: IncrementMotion, path: Float, ideal: Any, index: Int, theta: Float
-    ) -> GrowingResiduals:
+    def statistics(self, table: IncrementMotion, path: Float, ideal: Any, index: Int, theta: Float) -> GrowingResiduals:
         """Return the residuals themselves: their weights change with theta."""
         residual = increment_residuals(table.mean, path)
         rows = slice(1, path.shape[0])

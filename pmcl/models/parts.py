@@ -21,7 +21,7 @@ class BoundPart(Protocol):
     """A part of a model bound to one log: theta in, coefficient table out."""
 
     def table(self, theta: Float) -> NamedTuple:
-        """Return the coefficient table for the part's own parameters `theta` (k,). Called once per sweep: keep it cheap."""
+        """Return the coefficient table for the part's own parameters `theta` (k,); called at every proposal."""
         ...
 
     def statistics(self, table: Any, path: Float, ideal: Any, index: Int, theta: Float) -> NamedTuple | None:
@@ -34,7 +34,8 @@ class BoundPart(Protocol):
         path : ndarray, shape (T, D)
             The trajectory; T may be less than the log's, while data is being included.
         ideal : Any
-            For a sensor, its ideal readings along the path (:func:`pmcl.filtering.predict.ideal_readings`); None for motion.
+            For a sensor, its ideal readings along the path (:func:`pmcl.filtering.predict.ideal_readings`); None for
+            motion.
         index : ndarray of int, shape (k,)
             Position of each of the part's parameters in theta, -1 for a fixed one.
         theta : ndarray, shape (k,)

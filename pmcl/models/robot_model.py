@@ -54,7 +54,9 @@ class RobotModel:
         names = [parameter.name for part in self.parts for parameter in part.parameters]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ModelError(f"parameter names must differ between the parts of a model, but {twice} occur twice; rename one")
+            raise ModelError(
+                f"parameter names must differ between the parts of a model, but {twice} occur twice; rename one"
+            )
         for what, given in (("priors", self.priors), ("fixed", self.fixed)):
             unknown = sorted(set(given) - set(names))
             if unknown:
@@ -69,13 +71,13 @@ class RobotModel:
                 value = float(self.fixed[parameter.name])
                 if parameter.name.startswith("sigma_") and value == 0.0 and "_per_" not in parameter.name:
                     raise ModelError(
-                        f"{parameter.name} is fixed at 0: without noise in some direction a transition (or reading) has no "
+                        f"{parameter.name} is fixed at 0: without noise in some direction a transition has no "
                         "density and no trajectory can be drawn backward; fix it at a small positive value, e.g. 0.001"
                     )
                 low, high = prior_support(parameter.prior)
                 if not low <= value <= high:
                     raise ModelError(
-                        f"{parameter.name} is fixed at {value:g}, outside its range [{low:g}, {high:g}]; choose a value inside"
+                        f"{parameter.name} is fixed at {value:g}, outside [{low:g}, {high:g}]; choose a value inside"
                     )
 
     @property
@@ -151,7 +153,7 @@ class BoundModel:
         self.slots = self._slots()
         for log in logs:
             if log.n_readings == 0:
-                raise LogError(f"{log.where}: expected at least one reading, but every one is missing (NaN); nothing can be inferred")
+                raise LogError(f"{log.where}: expected at least one reading, but all are missing (NaN); record some")
         self._log_prior: Callable[[Float], float] = log_prior_function(self.parameters)
         if self.names:
             self.check(self.prior_mean())
@@ -216,8 +218,8 @@ class BoundModel:
                 t, component = int(bad[0][0]) + 1, int(bad[0][1])
                 direction = ("forward", "left", "turn")[component] if component < 3 else f"component {component}"
                 raise ModelError(
-                    f"{log.where}: the motion model has no noise in direction '{direction}' at row {t} (standard deviation "
-                    f"{float(std[t, component]):g}), so a transition has no density and no trajectory can be drawn backward; "
+                    f"{log.where}: the motion model has no noise in direction '{direction}' at row {t} (its standard "
+                    f"deviation is {float(std[t, component]):g}), so no trajectory can be drawn backward; "
                     "give it a small positive noise"
                 )
 

@@ -42,13 +42,17 @@ class RangeNoise:
     def parameters(self) -> tuple[Parameter, ...]:
         """The noise, then the outlier weight where there is one."""
         noise = Parameter("sigma_range", "m", gamma_prior(0.1), "noise of a range reading")
-        weight = Parameter("range_outlier_weight", "1", outlier_prior(), "share of range readings that are gross errors")
+        weight = Parameter(
+            "range_outlier_weight", "1", outlier_prior(), "share of range readings that are gross errors"
+        )
         return (noise, weight) if self.outliers else (noise,)
 
     def bind(self, log: RobotLog) -> BoundRangeNoise:
         """Take readings, beams and walls from the log; raises when one is missing."""
         if log.ranges is None or log.beam_poses is None:
-            raise ModelError(f"{log.where}: the model has range beams, but the log has no variable 'range'; use a landmark model")
+            raise ModelError(
+                f"{log.where}: the model has range beams, but the log has no variable 'range'; use a landmark model"
+            )
         log.require_map()
         assert log.walls is not None
         vertices, wall_start, wall_stop = log.walls.vertices_and_edges()
@@ -129,7 +133,10 @@ class LandmarkNoise:
         all_four = (
             (self.range, Parameter("sigma_landmark_range", "m", gamma_prior(0.2), "noise of a landmark's distance")),
             (self.bearing, Parameter("sigma_bearing", "rad", gamma_prior(0.1), "noise of a landmark's bearing")),
-            (self.size, Parameter("sigma_size", "1", gamma_prior(0.2), "noise of the ratio of observed to ideal pixels")),
+            (
+                self.size,
+                Parameter("sigma_size", "1", gamma_prior(0.2), "noise of the ratio of observed to ideal pixels"),
+            ),
             (
                 self.outliers,
                 Parameter("landmark_outlier_weight", "1", outlier_prior(), "share of sightings that are gross errors"),
@@ -146,9 +153,13 @@ class LandmarkNoise:
         }
         for name, (used, values) in wanted.items():
             if used and values is None:
-                raise ModelError(f"{log.where}: the model uses {name}, but the log has no such variable; leave it out of the model")
+                raise ModelError(
+                    f"{log.where}: the model uses {name}, but the log has no such variable; leave it out of the model"
+                )
         if not (self.range or self.bearing or self.size):
-            raise ModelError("a landmark sensor must use at least one of range, bearing and size, but none is switched on")
+            raise ModelError(
+                "a landmark sensor must use at least one of range, bearing and size, but none is switched on"
+            )
         assert log.landmarks is not None
         used_values = [values for used, values in wanted.values() if used and values is not None]
         seen = np.any([~np.isnan(values) for values in used_values], axis=0)
@@ -213,12 +224,11 @@ class BoundLandmarkNoise:
     outliers: bool
 
     def table(self, theta: Float) -> LandmarkSightings:
-        """Return the table; theta holds the noises in use (distance [m], bearing [rad], size [1]), then the outlier weight."""
+        """Return the table; theta holds the noises in use, then the outlier weight."""
         n_landmarks = self.base.range_std.size
-        changes = {}
-        names = self._fields()
-        for name, value in zip(names, theta, strict=True):
-            changes[name] = np.full(n_landmarks, value)
+        changes: dict[str, Any] = {
+            name: np.full(n_landmarks, value) for name, value in zip(self._fields(), theta, strict=True)
+        }
         return self.base._replace(**changes)
 
     def _fields(self) -> list[str]:
@@ -255,6 +265,8 @@ class BoundLandmarkNoise:
         residual[:, positions[:-1]] = np.stack(columns, axis=-1)
         seen = ~np.isnan(residual)
         log_constant = np.log(table.size_constant[which])
-        log_outlier = -(np.log(table.max_range) * seen[:, 0] + 2.0 * _HALF_LOG_2PI * seen[:, 1] + log_constant * seen[:, 2])
+        log_outlier = -(
+            np.log(table.max_range) * seen[:, 0] + 2.0 * _HALF_LOG_2PI * seen[:, 1] + log_constant * seen[:, 2]
+        )
         log_scale = (2.0 * np.log(distance) - log_constant) * seen[:, 2]
         return SightingResiduals(full_index, value, residual, log_scale, log_outlier)

@@ -80,12 +80,15 @@ def _somewhere(log: RobotLog, mean: Float, std: Float) -> PoseStart:
         x_low, x_high = x_low - _LANDMARK_MARGIN, x_high + _LANDMARK_MARGIN
         y_low, y_high = y_low - _LANDMARK_MARGIN, y_high + _LANDMARK_MARGIN
     else:
-        raise ModelError(f"{log.where}: a start anywhere on the map needs a map, but the log has none; give start_mean, start_std")
+        raise ModelError(
+            f"{log.where}: a start anywhere on the map needs a map, but the log has none; give start_mean, start_std"
+        )
     area = (x_high - x_low) * (y_high - y_low)
     if segments.shape[0]:
         # Even-odd area by a fine grid: outlines may be given wall by wall, in any order and direction.
         grid = np.stack(
-            np.meshgrid(np.linspace(x_low, x_high, 401)[:-1], np.linspace(y_low, y_high, 401)[:-1], indexing="ij"), axis=-1
+            np.meshgrid(np.linspace(x_low, x_high, 401)[:-1], np.linspace(y_low, y_high, 401)[:-1], indexing="ij"),
+            axis=-1,
         )
         assert walls is not None
         grid += np.array([(x_high - x_low), (y_high - y_low)]) / 800.0

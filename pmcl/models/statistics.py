@@ -1,7 +1,8 @@
 """What remains of a trajectory for the Metropolis block: statistics whose size does not depend on theta.
 
 Given the trajectory, residuals are computed once. Gaussian noise then needs only sums of squares, so an update costs
-O(1); mixtures and growing noise keep the residuals themselves. Each tuple says which entries of theta it uses in `index`;
+O(1); mixtures and growing noise keep the residuals themselves. Each tuple says which entries of theta it uses in
+`slots`;
 -1 means that the value is fixed and stands in `value`.
 """
 
@@ -23,17 +24,17 @@ class GaussianSums(NamedTuple):
 
     Attributes
     ----------
-    index : ndarray of int, shape (G,)
+    slots : ndarray of int, shape (G,)
         Entry of theta that is the group's standard deviation.
     value : ndarray, shape (G,)
         The standard deviation where it is fixed.
-    count, squares : ndarray, shape (G,)
+    counts, squares : ndarray, shape (G,)
         Number of residuals and their sum of squares.
     """
 
-    index: Int
+    slots: Int
     value: Float
-    count: Float
+    counts: Float
     squares: Float
 
 
@@ -42,7 +43,7 @@ class GrowingResiduals(NamedTuple):
 
     Attributes
     ----------
-    index, value : ndarray, shape (6,)
+    slots, value : ndarray, shape (6,)
         sigma_forward, sigma_left, sigma_turn, sigma_forward_per_metre, sigma_turn_per_radian, sigma_turn_per_metre.
     residual : ndarray, shape (N, 3)
         Forward [m], left [m], turn [rad].
@@ -50,7 +51,7 @@ class GrowingResiduals(NamedTuple):
         Size of each odometry increment [m], [rad].
     """
 
-    index: Int
+    slots: Int
     value: Float
     residual: Float
     distance: Float
@@ -62,7 +63,7 @@ class RangeResiduals(NamedTuple):
 
     Attributes
     ----------
-    index, value : ndarray, shape (2,)
+    slots, value : ndarray, shape (2,)
         Standard deviation [m], outlier weight.
     residual : ndarray, shape (N,)
         Reading minus expected range [m].
@@ -72,7 +73,7 @@ class RangeResiduals(NamedTuple):
         Density of an outlier, 1 / max_range.
     """
 
-    index: Int
+    slots: Int
     value: Float
     residual: Float
     tail: Float
@@ -84,7 +85,7 @@ class SightingResiduals(NamedTuple):
 
     Attributes
     ----------
-    index, value : ndarray, shape (4,)
+    slots, value : ndarray, shape (4,)
         Standard deviations of distance [m], bearing [rad] and size ratio [1], outlier weight.
     residual : ndarray, shape (N, 3)
         Residuals in that order, NaN where not measured.
@@ -94,7 +95,7 @@ class SightingResiduals(NamedTuple):
         Log density of each sighting as an outlier.
     """
 
-    index: Int
+    slots: Int
     value: Float
     residual: Float
     log_scale: Float

@@ -31,7 +31,7 @@ def calibrate(
     data_rate: int | None = None,
     transport: bool | None = None,
     burn_in_particles: int = 1000,
-    sweeps_per_draw: int = 1,
+    sweeps_per_draw: int = 2,
     trajectories: int = 100,
     seed: int = 0,
     pool: Any = None,

@@ -56,12 +56,16 @@ def check_fingerprint(path: str, expected: str, *, resume: bool) -> None:
     """
     if os.path.exists(path):
         if not resume:
-            raise SamplingError(f"{path}: expected no checkpoint, but there is one; resume it, or remove it to start anew")
+            raise SamplingError(
+                f"{path}: expected no checkpoint, but there is one; resume it, or remove it to start anew"
+            )
         try:
             with h5py.File(path, "r") as file:
                 found = str(file.attrs.get("pmcl_fingerprint", ""))
         except OSError as error:
-            raise SamplingError(f"{path}: expected an HDF5 checkpoint, but it cannot be read ({error}); remove it to start anew") from None
+            raise SamplingError(
+                f"{path}: expected an HDF5 checkpoint, but it cannot be read ({error}); remove it to start anew"
+            ) from None
         if found != expected:
             raise SamplingError(
                 f"{path}: the checkpoint belongs to another run (log, model, priors or settings differ); "

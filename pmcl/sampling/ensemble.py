@@ -1,8 +1,8 @@
 """The ensemble variant: emcee's own moves on the pseudo-marginal target.
 
-The target is theta -> log prior + log of the particle filter's estimate of p(readings | theta). The estimate's exponential is
-unbiased, so the chain's theta has the exact posterior (Andrieu and Roberts 2009). The randomness of an estimate is a function of
-theta and the seed: it is never drawn again for the current state, and no pool changes it.
+The target is theta -> log prior + log of the particle filter's estimate of p(readings | theta). The estimate's
+exponential is unbiased, so the chain's theta has the exact posterior (Andrieu and Roberts 2009). The randomness of an
+estimate is a function of theta and the seed: it is never drawn again for the current state, and no pool changes it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class PseudoMarginalTarget:
     bound : BoundModel
         The model bound to its logs.
     particles : int
-        Number of particles n; the variance of the log estimate should be about 1 (Doucet, Pitt, Deligiannidis, Kohn 2015).
+        Number of particles n; the variance of the log estimate should be about 1 (Doucet, Pitt, Deligiannidis, Kohn
+        2015).
     seed : int
         Part of every estimate's seed.
     """
@@ -45,7 +46,7 @@ class PseudoMarginalTarget:
         self.dtype = blob_dtype(bound, self.size)
 
     def __call__(self, theta: Float) -> tuple[float, Any]:
-        """Return (log target, blob); in the blob are the estimate, one trajectory of the smoother and their joint density."""
+        """Return (log target, blob); the blob holds the estimate, one smoothed trajectory and their joint density."""
         bound, d = self.bound, self.bound.dimension
         theta = np.ascontiguousarray(theta, dtype=float)
         path = np.zeros((sum(bound.lengths), self.size))
@@ -92,8 +93,8 @@ def first_walkers(target: PseudoMarginalTarget, n_walkers: int, seed: int, pool:
     best = np.argsort(-values, kind="stable")[:n_walkers]
     if not np.isfinite(values[best]).all():
         raise SamplingError(
-            f"only {int(np.isfinite(values).sum())} of {values.size} draws from the prior can explain the readings, but the "
-            f"ensemble needs {n_walkers}; use more particles, wider priors, or method particle-gibbs"
+            f"only {int(np.isfinite(values).sum())} of {values.size} draws from the prior can explain the readings, but "
+            f"the ensemble needs {n_walkers}; use more particles, wider priors, or method particle-gibbs"
         )
     blobs = np.array([results[k][1] for k in best], dtype=target.dtype)
     random_state = np.random.RandomState(seed % 2**32).get_state()

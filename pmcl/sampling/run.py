@@ -44,7 +44,7 @@ _STATISTICS = {
 
 @contextmanager
 def walker_pool(pool: Any, n_walkers: int) -> Iterator[Any]:
-    """Yield the pool that runs the walkers: the caller's own, or threads (the kernels run without the interpreter's lock)."""
+    """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock."""
     if pool is not None:
         yield pool
         return
@@ -68,7 +68,9 @@ def _first_state(bound: BoundModel, stage: Stage, n_chains: int, seed: int, pool
     move = ParticleGibbsMove(bound)
     redrawn = sum(count for _, count in started)
     if redrawn:
-        _logger.warning("%d draws of theta from the prior could not explain the first rows at all and were drawn again", redrawn)
+        _logger.warning(
+            "%d draws of theta from the prior could not explain the first rows at all and were drawn again", redrawn
+        )
     states = [state for state, _ in started]
     blobs = np.array([into_blob(state, move.dtype) for state in states], dtype=move.dtype)
     random_state = np.random.RandomState(seed % 2**32).get_state()
@@ -160,7 +162,9 @@ def run_particle_gibbs(
             if plan.transport_moves:
                 transports = tuned_transports(bound, backend, stage, lost)
                 if any(transport is None for transport in transports):
-                    _logger.warning("the model offers no usable linearisation at the mean trajectory: no transport moves")
+                    _logger.warning(
+                        "the model offers no usable linearisation at the mean trajectory: no transport moves"
+                    )
     told |= {"restarted_chains": restarts, "impossible_starts": redrawn, **(settings or {})}
     return _collect(bound, backends, stages[-1].keep_every, told)
 
@@ -209,8 +213,8 @@ def run_ensemble(
     """
     if n_walkers < 2 * bound.dimension:
         raise SamplingError(
-            f"an ensemble needs at least twice as many walkers as parameters ({2 * bound.dimension}), but got {n_walkers}; "
-            "ask for more chains"
+            f"an ensemble needs at least twice as many walkers as parameters ({2 * bound.dimension}), but got "
+            f"{n_walkers}; ask for more chains"
         )
     told = {
         "method": "ensemble", "chains": n_walkers, "seed": seed, "particles": particles, "draws": draws,
@@ -264,9 +268,7 @@ def _plan_settings(plan: Plan) -> dict[str, Any]:
     return {name: value if not isinstance(value, tuple) else str(value) for name, value in vars(plan).items()}
 
 
-def _collect(
-    bound: BoundModel, backends: Sequence[StageBackend], keep_every: int, told: dict[str, Any]
-) -> Chains:
+def _collect(bound: BoundModel, backends: Sequence[StageBackend], keep_every: int, told: dict[str, Any]) -> Chains:
     """Put the backends' arrays, which have the step first, into chains."""
     final = backends[-1]
     blobs = final.get_blobs()

@@ -1,8 +1,8 @@
 """The stages of a calibration: include the data, tune, draw.
 
 Within a stage every setting is frozen but the Metropolis steps and one scale, which travel in the blob. What a
-stage needs beyond that (the linearisation, the proposal's shape, restarted chains) is a pure function of the stored chain of
-the stage before. So a chain can be resumed at any step and goes on exactly as if it had not been stopped.
+stage needs beyond that (the linearisation, the proposal's shape, restarted chains) is a pure function of the stored
+chain of the stage before. So a chain can be resumed at any step and goes on exactly as if it had not been stopped.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Plan:
     settle: int = 20
     tuning: tuple[int, ...] = (60, 80, 120)
     draws: int = 1000
-    sweeps_per_draw: int = 1
+    sweeps_per_draw: int = 2
     trajectories: int = 100
 
 
@@ -110,7 +110,9 @@ def plan_stages(plan: Plan, longest: int) -> list[Stage]:
     stages = [Stage("inclusion", steps, inclusion, 1, max(1, plan.settle // 2), False)]
     tuning = SweepSettings(plan.kernel, plan.particles, plan.metropolis_steps, moves, 1, 0, _GAIN)
     for number, length in enumerate(plan.tuning):
-        stages.append(Stage(f"tuning-{number + 1}", length, tuning, 1, (length + 1) // 2, number < len(plan.tuning) - 1))
+        stages.append(
+            Stage(f"tuning-{number + 1}", length, tuning, 1, (length + 1) // 2, number < len(plan.tuning) - 1)
+        )
     drawing = SweepSettings(plan.kernel, plan.particles, plan.metropolis_steps, moves, plan.sweeps_per_draw)
     stages.append(Stage("draws", plan.draws, drawing, max(1, plan.draws // max(plan.trajectories, 1)), 0, False))
     return stages
@@ -145,7 +147,11 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
         limit = max(_LOST_NATS, _LOST_SPREADS * spread)
     lost = np.flatnonzero(~complete | ~(gap <= limit))
     for chain in lost:
-        why = f"its log evidence lies {gap[chain]:.0f} nats below" if complete[chain] else "it could not include all rows, unlike"
+        why = (
+            f"its log evidence lies {gap[chain]:.0f} nats below"
+            if complete[chain]
+            else "it could not include all rows, unlike"
+        )
         _logger.warning("chain %d is lost: %s that of chain %d; restarted from there", chain, why, best)
     return {int(chain): best for chain in lost}
 

@@ -76,9 +76,7 @@ def included(bound: BoundModel, path: Float, rows: int) -> list[Float]:
 
 
 def _joint(bound: BoundModel, theta: Float, tables: Sequence[Tables], paths: Sequence[Float]) -> float:
-    return bound.log_prior(theta) + math.fsum(
-        log_joint(table, path) for table, path in zip(tables, paths, strict=True)
-    )
+    return bound.log_prior(theta) + math.fsum(log_joint(table, path) for table, path in zip(tables, paths, strict=True))
 
 
 def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts: int = 200) -> tuple[ChainState, int]:
@@ -151,7 +149,8 @@ def step(
 ) -> ChainState:
     """Make ``settings.sweeps`` sweeps; a pure function of its arguments.
 
-    Each sweep draws the trajectories given the current theta, then theta given the new trajectories, then moves both together.
+    Each sweep draws the trajectories given the current theta, then theta given the new trajectories, then moves both
+    together.
 
     Raises
     ------

@@ -2,17 +2,18 @@
 
 What limits a Gibbs sampler here is that theta and the path hold each other in place. Around a frozen reference the
 model is linear and Gaussian, and its path is x = m(theta) + L(theta) z with z standard normal
-(:mod:`pmcl.filtering.kernels.linear`). A move proposes theta' and carries the path along with its z fixed; it is accepted with
-p(theta', x', data) |L(theta')| / (p(theta, x, data) |L(theta)|), x' = m(theta') + L(theta') z. This is a deterministic
-bijection, so the move leaves the exact, nonlinear posterior unchanged; how good the linearisation is decides only how often it is accepted.
+(:mod:`pmcl.filtering.kernels.linear`). A move proposes theta' and carries the path along with its z fixed; it is
+accepted with p(theta', x', data) |L(theta')| / (p(theta, x, data) |L(theta)|), x' = m(theta') + L(theta') z. This is
+a deterministic bijection, so the move leaves the exact, nonlinear posterior unchanged; how good the linearisation is
+decides only how often it is accepted.
 
-Because the path is nearly Gaussian given theta, such a move is accepted almost as one on the marginal posterior of theta
-would be. So two kinds of proposals alternate: random walks, which work from anywhere, and independent draws from a
-multivariate t fitted during burn-in, which are accepted more often than not and forget the past at once.
+Because the path is nearly Gaussian given theta, such a move is accepted almost as one on the marginal posterior of
+theta would be. So two kinds of proposals alternate: random walks, which work from anywhere, and independent draws
+from a multivariate t fitted during burn-in, which are accepted more often than not and forget the past at once.
 
-Before them the path is redrawn block by block from the linearised model, each block accepted or refused by itself. Where
-precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the linearised model
-knows where it may go.
+Before them the path is redrawn block by block from the linearised model, each block accepted or refused by itself.
+Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
+linearised model knows where it may go.
 """
 
 from __future__ import annotations
@@ -60,6 +61,8 @@ class Proposal:
 
     def log_density(self, u: Float) -> float:
         """Return the log density of the independent proposal at u, up to a constant."""
+        assert self.centre is not None
+        assert self.spread is not None
         z = solve_triangular(self.spread, u - self.centre, lower=True, check_finite=False)
         return -0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
 
@@ -94,9 +97,7 @@ class Transport:
     proposal: Proposal
 
 
-def linearised_at(
-    bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal
-) -> Transport | None:
+def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal) -> Transport | None:
     """Linearise the model at `theta` and one reference trajectory for each log.
 
     Returns None when some sensor offers no linearisation, or the linearised path has no factorisation: there is
@@ -133,7 +134,7 @@ def transport_moves(
     scale: float,
     rng: np.random.Generator,
 ) -> TransportResult:
-    """Redraw the path block by block, then make `n_moves` transport moves, random walks and independent proposals in turn.
+    """Redraw the path block by block, then make transport moves: random walks and independent proposals in turn.
 
     Parameters
     ----------
@@ -200,14 +201,14 @@ def transport_moves(
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
             paths = [trial[5] for trial in trials]
             now = [trial[1:5] for trial in trials]
-    shares = [yes / all_made if all_made else math.nan for yes, all_made in zip(accepted, made, strict=True)]
-    return TransportResult(theta, paths, log_joint, *shares, refreshed)
+    walked, jumped = (yes / all_made if all_made else math.nan for yes, all_made in zip(accepted, made, strict=True))
+    return TransportResult(theta, paths, log_joint, walked, jumped, refreshed)
 
 
 def _redrawn(
     bound: BoundModel, theta: Float, paths: Sequence[Float], transport: Transport, rng: np.random.Generator
 ) -> tuple[list[Float], float, float]:
-    """Redraw all paths in blocks whose boundaries are chosen anew each time; return (paths, log joint, share accepted)."""
+    """Redraw all paths in blocks with boundaries chosen anew; return (paths, log joint, share accepted)."""
     new, log_joint, accepted = [], bound.log_prior(theta), []
     for tables, geometry, reference, old in zip(
         bound.tables(theta), transport.geometries, transport.references, paths, strict=True

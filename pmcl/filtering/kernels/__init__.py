@@ -1,0 +1,1 @@
+"""Compiled loops over time and particles, and the contract that tables of one's own implement (:mod:`.contract`)."""

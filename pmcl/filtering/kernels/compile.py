@@ -39,7 +39,7 @@ _extra_sources: set[str] = set()
 
 def _options(
     *, reorder: bool = False, assume_numbers: bool = False, strict: bool = False, allocates: bool = False
-) -> dict[str, Any]:
+) -> Any:
     flags = set() if strict else set(_CONTRACT)
     if reorder or assume_numbers:
         flags |= {"reassoc"}
@@ -96,7 +96,7 @@ def _source_hash() -> str:
     return digest.hexdigest()
 
 
-class _SourceKeyedCache(caching.FunctionCache):  # type: ignore[misc]
+class _SourceKeyedCache(caching.FunctionCache):
     """numba's function cache with the hash of all sources in the key."""
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
@@ -157,9 +157,7 @@ def generic(prototype: Callable[..., Any]) -> Any:
     parameters = ", ".join(inspect.signature(prototype).parameters)
     first = parameters.split(",")[0]
 
-    def register(
-        table_type: type, *, allocates: bool = True
-    ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def register(table_type: type, *, allocates: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def decorate(implementation: Callable[..., Any]) -> Callable[..., Any]:
             implementations[table_type] = implementation
             _remember_source(implementation)

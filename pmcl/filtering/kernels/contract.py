@@ -2,8 +2,8 @@
 
 Arrays are laid out for vector instructions: a set of n states of D components is an array of shape (D, n). Log
 densities are *added* to `logp`. `scratch` is a work array of shape (rows, n) whose contents are undefined; its rows
-are the most that any part asks for with :func:`scratch_rows`. Implementations are plain functions that numba can compile, registered with
-``@propagate.register(MyTable)``. All of them must cope with n = 1.
+are the most that any part asks for with :func:`scratch_rows`. Implementations are plain functions that numba can
+compile, registered with ``@propagate.register(MyTable)``. All of them must cope with n = 1.
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ __all__ = [
     "state_size",
     "transition_logpdf",
 ]
-
-# mypy: disable-error-code="no-untyped-def"
 
 
 @generic
@@ -57,7 +55,7 @@ def propagate(motion, t, rng, previous, current, scratch):
 
 @generic
 def transition_logpdf(motion, t, previous, current, logp, scratch):
-    """Add log p(current | previous) of each of the `previous` (D, n) to `logp` (n,); `current` (D,) is one state at t."""
+    """Add log p(current | previous) for each of `previous` (D, n) to `logp` (n,); `current` (D,) is one state at t."""
 
 
 @generic
@@ -126,7 +124,7 @@ def path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 @path_transition_logpdf.register(object, allocates=False)
 def _transition_row_by_row(motion, n_steps, path, logp, scratch):
     size = path.shape[0]
-    before, after, value = scratch[0, : size], scratch[1, : size], scratch[2, :1]
+    before, after, value = scratch[0, :size], scratch[1, :size], scratch[2, :1]
     work = scratch[3:]
     for t in range(1, n_steps):
         for d in range(size):
@@ -139,7 +137,7 @@ def _transition_row_by_row(motion, n_steps, path, logp, scratch):
 @path_reading_logpdf.register(object, allocates=False)
 def _readings_row_by_row(sensor, n_steps, path, logp, scratch):
     size = path.shape[0]
-    before, now, value = scratch[0, : size], scratch[1, : size], scratch[2, :1]
+    before, now, value = scratch[0, :size], scratch[1, :size], scratch[2, :1]
     work = scratch[3:]
     for t in range(n_steps):
         if not has_reading(sensor, t):

@@ -20,7 +20,8 @@ RANGE, BEARING, SIZE = 0, 1, 2
 class ReadingGeometry(NamedTuple):
     """What each usable reading would ideally be at the reference trajectory, and its slope there.
 
-    Only geometry: biases, scales and noise come from the sensor's table, so that the same linearisation serves every theta.
+    Only geometry: biases, scales and noise come from the sensor's table, so that the same linearisation serves every
+    theta.
 
     Attributes
     ----------
@@ -63,7 +64,7 @@ def pack_geometry(
 
 
 @kernel
-def add_information(jacobian, k, scale, weight, residual, precision, shift):  # type: ignore[no-untyped-def]
+def add_information(jacobian, k, scale, weight, residual, precision, shift):
     """Add one scalar reading of a pose: slope ``scale * jacobian[k]``, inverse variance `weight`, and its residual."""
     j0, j1, j2 = scale * jacobian[k, 0], scale * jacobian[k, 1], scale * jacobian[k, 2]
     w0, w1, w2 = weight * j0, weight * j1, weight * j2

@@ -19,8 +19,6 @@ from pmcl.filtering.kernels.geometry import BEARING, RANGE, add_information
 from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, sincos_into
 from pmcl.models.tables import LandmarkSightings
 
-# mypy: disable-error-code="no-untyped-def"
-
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _LOG_2PI = math.log(2.0 * math.pi)
 
@@ -63,7 +61,8 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             if not turned:
                 sincos_into(current[2], sine, cosine)
                 turned = True
-            # In the sensor's frame, turned further by minus the reading: the residual is then one angle, already wrapped.
+            # In the sensor's frame, turned further by minus the reading: the residual is then one angle, already
+            # wrapped.
             expected = sensor.bearing[k] - sensor.bearing_bias[j] + mount_yaw if has_bearing else 0.0
             c, s = math.cos(expected), math.sin(expected)
             offset_ahead, offset_aside = mount_x * c + mount_y * s, mount_y * c - mount_x * s

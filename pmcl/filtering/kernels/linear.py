@@ -22,14 +22,12 @@ from pmcl.filtering.kernels.smc import joint, work_rows
 from pmcl.filtering.kernels.tuples import sum_information
 from pmcl.filtering.kernels.vector_math import total
 
-# mypy: disable-error-code="no-untyped-def"
-
 __all__ = ["carry", "factorise", "refresh_blocks", "transport_trial"]
 
 
 @kernel
 def _cholesky(a, c, size):
-    """Write the Cholesky factor of `a` into the lower triangle of `c` (both size * size, flat); False if not positive definite."""
+    """Write the Cholesky factor of the flat matrix `a` into `c`; return False if it is not positive definite."""
     for i in range(size):
         for j in range(i + 1):
             value = a[i * size + j]
@@ -63,8 +61,8 @@ def _solve(c, inverse_diagonal, b, begin, stride, size):
 def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size):
     """Eliminate the rows begin ... stop - 1 forward in time, given their neighbours in `path` where they have any.
 
-    `factor` and `gain` are (T, D * D), `centre` (T, D). `size` must be the constant D: the small loops are then unrolled;
-    matrices are flat for the same reason. Returns the log determinant.
+    `factor` and `gain` are (T, D * D), `centre` (T, D). `size` must be the constant D: the small loops are then
+    unrolled; matrices are flat for the same reason. Returns the log determinant.
     """
     n_steps = reference.shape[0]
     square = size * size
@@ -97,9 +95,7 @@ def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, c
         sum_information(tables.sensors, geometries, t, information_2d, shift)
         inner = t < stop - 1
         if t < n_steps - 1:
-            linearise_transition(
-                tables.motion, t + 1, reference[t], reference[t + 1], jacobian_2d, offset, noise_2d
-            )
+            linearise_transition(tables.motion, t + 1, reference[t], reference[t + 1], jacobian_2d, offset, noise_2d)
             if not inner:
                 for i in range(size):
                     offset[i] -= path[stop, i] - reference[stop, i]
@@ -113,7 +109,8 @@ def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, c
                     for k in range(size):
                         value += noise[i * size + k] * jacobian[k * size + j]
                     weighted[i * size + j] = value
-            # The precision of d[t]: what is known up to t, and the transition to t + 1. Only its lower triangle is used.
+            # The precision of d[t]: what is known up to t, and the transition to t + 1. Only its lower triangle is
+            # used.
             for i in range(size):
                 value = shift[i]
                 for k in range(size):
@@ -179,9 +176,7 @@ def factorise(tables, geometries, reference):
     n_steps, size = reference.shape[0], state_size(tables.motion)
     factor, gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     centre, work = np.empty((n_steps, size)), np.empty(4 * size * size + 4 * size)
-    log_determinant = _eliminate(
-        tables, geometries, reference, reference, 0, n_steps, factor, gain, centre, work, size
-    )
+    log_determinant = _eliminate(tables, geometries, reference, reference, 0, n_steps, factor, gain, centre, work, size)
     return log_determinant, factor, gain, centre
 
 
@@ -219,7 +214,19 @@ def _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_cent
 def carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
     """Return the path (T, D) that has the same z under the new factorisation as `path` has under the old one."""
     out = np.empty_like(path)
-    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, np.empty(path.shape[1]), path.shape[1])
+    _carry(
+        path,
+        reference,
+        factor,
+        gain,
+        centre,
+        new_factor,
+        new_gain,
+        new_centre,
+        out,
+        np.empty(path.shape[1]),
+        path.shape[1],
+    )
     return out
 
 
@@ -347,13 +354,9 @@ def refresh_blocks(tables, geometries, reference, path, starts, noise, log_unifo
         for block in range(parity, n_blocks, 2):
             begin, stop = starts[block], starts[block + 1]
             log_ratio[block] = -np.inf
-            found = _eliminate(
-                tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size
-            )
+            found = _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size)
             if found > -np.inf:
-                log_ratio[block] = _redraw(
-                    path, reference, begin, stop, factor, gain, centre, noise, proposed, z, size
-                )
+                log_ratio[block] = _redraw(path, reference, begin, stop, factor, gain, centre, noise, proposed, z, size)
         _joint_rows(tables, proposed, columns, new_rows, scratch)
         for block in range(parity, n_blocks, 2):
             begin, stop = starts[block], starts[block + 1]

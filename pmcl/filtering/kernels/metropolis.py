@@ -11,8 +11,6 @@ from pmcl.filtering.kernels.compile import entry, generic, kernel, overload_for_
 from pmcl.filtering.kernels.ranges import log_normal_tail
 from pmcl.models.statistics import GaussianSums, GrowingResiduals, RangeResiduals, SightingResiduals
 
-# mypy: disable-error-code="no-untyped-def"
-
 __all__ = ["log_prior", "metropolis_block", "statistics_logpdf", "theta_logpdf"]
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -25,24 +23,24 @@ def theta_logpdf(statistics, theta):
 
 @kernel
 def _value(statistics, theta, position):
-    index = statistics.index[position]
-    return theta[index] if index >= 0 else statistics.value[position]
+    slot = statistics.slots[position]
+    return theta[slot] if slot >= 0 else statistics.value[position]
 
 
 @kernel
-def _depends(index, k):
-    for position in range(index.size):
-        if index[position] == k:
-            return True
-    return False
+def _depends(slots, k):
+    found = False
+    for position in range(slots.size):
+        found |= slots[position] == k
+    return found
 
 
 @theta_logpdf.register(GaussianSums, allocates=False)
 def _gaussian(statistics, theta):
     value = 0.0
-    for group in range(statistics.index.size):
+    for group in range(statistics.slots.size):
         std = _value(statistics, theta, group)
-        value -= statistics.count[group] * math.log(std) + 0.5 * statistics.squares[group] / (std * std)
+        value -= statistics.counts[group] * math.log(std) + 0.5 * statistics.squares[group] / (std * std)
     return value
 
 
@@ -124,7 +122,7 @@ def log_prior(priors, k, x):
 def _update_terms(parts, position, theta, k, terms, trial):
     """Write the log density of every part that uses theta[k] into `trial`; copy the others from `terms`."""
     for offset, part in enumerate(parts):
-        if k < 0 or (part.index == k).any():
+        if k < 0 or (part.slots == k).any():
             trial[position + offset] = theta_logpdf(part, theta)
         else:
             trial[position + offset] = terms[position + offset]
@@ -136,7 +134,7 @@ def _update_terms_compiled(parts, position, theta, k, terms, trial):
         return lambda parts, position, theta, k, terms, trial: None
 
     def update(parts, position, theta, k, terms, trial):
-        if k < 0 or _depends(parts[0].index, k):
+        if k < 0 or _depends(parts[0].slots, k):
             trial[position] = theta_logpdf(parts[0], theta)
         else:
             trial[position] = terms[position]
@@ -174,7 +172,8 @@ def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts
     n_sweeps : int
         The paper's m.
     gain, target : float
-        During burn-in each proposal moves log_step by ``gain * (accepted - target)`` (Robbins and Monro); afterwards gain is 0.
+        During burn-in each proposal moves log_step by ``gain * (accepted - target)`` (Robbins and Monro); afterwards
+        gain is 0.
     priors : PriorTable
         The priors.
     parts : tuple of statistics

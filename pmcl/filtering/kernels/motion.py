@@ -1,4 +1,4 @@
-"""Kernels of :class:`~pmcl.models.tables.IncrementMotion`: noise on forward, left and turn (eq. 2's p(x_t | x_t-1, u_t))."""
+"""Kernels of :class:`~pmcl.models.tables.IncrementMotion`: noise on forward, left and turn."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from pmcl.filtering.kernels.contract import (
 )
 from pmcl.filtering.kernels.vector_math import sincos_into
 from pmcl.models.tables import IncrementMotion
-
-# mypy: disable-error-code="no-untyped-def"
 
 _LOG_2PI = math.log(2.0 * math.pi)
 

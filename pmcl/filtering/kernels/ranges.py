@@ -20,8 +20,6 @@ from pmcl.filtering.kernels.rays import inverse_lengths, wall_numerators
 from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
 from pmcl.models.tables import RangeBeams
 
-# mypy: disable-error-code="no-untyped-def"
-
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _FIXED_ROWS = 9
 # A ray that meets nothing has length inf; this many times the longest reading stands for it.

@@ -3,7 +3,8 @@
 A ray from p along d meets the line of the wall a-b at distance cross(a - p, b - a) / cross(d, b - a); it meets the
 wall itself when a and b lie on different sides of the ray, that is when cross(a, d) - cross(p, d) and
 cross(b, d) - cross(p, d) differ in sign or vanish. The side of a corner is computed by the same operations, rounded as
-written, for every wall that ends there, so no ray slips between two walls; the difference of two sides is the divisor. The inner loops run over rays.
+written, for every wall that ends there, so no ray slips between two walls; the difference of two sides is the
+divisor. The inner loops run over rays.
 
 A wall that is seen exactly edge-on has no width and is not hit, unless another wall meets its end.
 """
@@ -21,7 +22,7 @@ Float = NDArray[np.float64]
 
 
 @kernel
-def wall_numerators(vertices, wall_start, wall_stop, x, y, inverse):  # type: ignore[no-untyped-def]
+def wall_numerators(vertices, wall_start, wall_stop, x, y, inverse):
     """Write 1 / cross(a - p, b - a) for each wall (row) and ray origin (column) into `inverse` (W, n)."""
     for w in range(wall_start.size):
         ax, ay = vertices[wall_start[w], 0], vertices[wall_start[w], 1]
@@ -33,7 +34,7 @@ def wall_numerators(vertices, wall_start, wall_stop, x, y, inverse):  # type: ig
 
 
 @kernel(strict=True)
-def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, moment, best):  # type: ignore[no-untyped-def]
+def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, moment, best):
     """Write 1 / length of each ray into `best` (n,); 0 where the ray meets no wall.
 
     Parameters
@@ -53,7 +54,7 @@ def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, mome
     n_walls = wall_start.size
     for i in range(n):
         moment[i] = x[i] * dy[i] - y[i] * dx[i]
-        best[i] = 0.0
+        best[i] = 0.0 if moment[i] < np.inf else np.nan  # a ray that is no number has no length
     w = 0
     while w < n_walls:
         ax, ay = vertices[wall_start[w], 0], vertices[wall_start[w], 1]
@@ -88,7 +89,7 @@ def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, inverse, mome
 
 
 @entry
-def _cast(vertices, wall_start, wall_stop, x, y, dx, dy):  # type: ignore[no-untyped-def]
+def _cast(vertices, wall_start, wall_stop, x, y, dx, dy):
     n = x.size
     inverse, moment, best = np.empty((wall_start.size, n)), np.empty(n), np.empty(n)
     wall_numerators(vertices, wall_start, wall_stop, x, y, inverse)
@@ -96,9 +97,7 @@ def _cast(vertices, wall_start, wall_stop, x, y, dx, dy):  # type: ignore[no-unt
     return 1.0 / best
 
 
-def cast_rays(
-    vertices: Float, wall_start: NDArray[np.int64], wall_stop: NDArray[np.int64], poses: Float
-) -> Float:
+def cast_rays(vertices: Float, wall_start: NDArray[np.int64], wall_stop: NDArray[np.int64], poses: Float) -> Float:
     """Return the distance from each pose along its heading to the nearest wall.
 
     Parameters

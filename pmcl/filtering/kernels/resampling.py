@@ -1,17 +1,24 @@
 """Resampling schemes: which particles become the parents of the next generation.
 
 Multinomial is the paper's (Figure 1 there); systematic, stratified and residual keep the expected numbers
-of children with less variance (Douc, Cappe, Moulines 2005). Weights that sum to a little less than one never lead past the last particle of
-positive weight.
+of children with less variance (Douc, Cappe, Moulines 2005). Weights that sum to a little less than one never lead
+past the last particle of positive weight.
 """
 
 from __future__ import annotations
 
 from pmcl.filtering.kernels.compile import kernel
 
-__all__ = ["MULTINOMIAL", "RESIDUAL", "SCHEMES", "STRATIFIED", "SYSTEMATIC", "draw_index", "multinomial_into", "resample"]
-
-# mypy: disable-error-code="no-untyped-def"
+__all__ = [
+    "MULTINOMIAL",
+    "RESIDUAL",
+    "SCHEMES",
+    "STRATIFIED",
+    "SYSTEMATIC",
+    "draw_index",
+    "multinomial_into",
+    "resample",
+]
 
 MULTINOMIAL, SYSTEMATIC, STRATIFIED, RESIDUAL = 0, 1, 2, 3
 SCHEMES = {"multinomial": MULTINOMIAL, "systematic": SYSTEMATIC, "stratified": STRATIFIED, "residual": RESIDUAL}
@@ -44,8 +51,8 @@ def draw_index(weights, weight_sum, rng):
 def multinomial_into(weights, weight_sum, rng, first, ancestors, spacings):
     """Draw ``ancestors[first:]`` independently with probabilities proportional to `weights` (n,), in ascending order.
 
-    Sorted uniforms come from normalised exponential spacings, so the cost is O(n). As a set the draws are i.i.d.; which slot holds which
-    does not matter to particles that are exchangeable.
+    Sorted uniforms come from normalised exponential spacings, so the cost is O(n). As a set the draws are i.i.d.;
+    which slot holds which does not matter to particles that are exchangeable.
     """
     n = ancestors.size
     sum_of_spacings = rng.standard_exponential()
@@ -84,7 +91,9 @@ def resample(scheme, weights, weight_sum, rng, ancestors, scratch):
                     ancestors[filled] = i
                     filled += 1
         while filled < n:
-            ancestors[filled] = draw_index(scratch, residual_sum, rng) if residual_sum > 0.0 else _last_positive(weights)
+            ancestors[filled] = (
+                draw_index(scratch, residual_sum, rng) if residual_sum > 0.0 else _last_positive(weights)
+            )
             filled += 1
         return
     last = _last_positive(weights)

@@ -25,8 +25,6 @@ from pmcl.filtering.kernels.resampling import MULTINOMIAL, draw_index, multinomi
 from pmcl.filtering.kernels.tuples import any_look_back, any_reading, most_rows, sum_logpdf, sum_path_logpdf
 from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
 
-# mypy: disable-error-code="no-untyped-def"
-
 __all__ = [
     "ALL_ZERO",
     "FINE",
@@ -46,6 +44,7 @@ FINE, ALL_ZERO, NOT_A_NUMBER, NO_ANCESTOR = 0, 1, 2, 3
 
 @kernel
 def work_rows(tables):
+    """Return how many rows of scratch space a pass over these tables needs."""
     rows = max(scratch_rows(tables.motion), scratch_rows(tables.start))
     return max(rows, most_rows(tables.sensors)) + 3
 
@@ -53,7 +52,7 @@ def work_rows(tables):
 @kernel
 def normalise(log_weights, weights):
     """Write exp(log_weights - max) into `weights`; return (status, max, sum). `log_weights` stay as they are."""
-    if math.isnan(total(log_weights)):
+    if not total(log_weights) < np.inf:
         return NOT_A_NUMBER, 0.0, 0.0
     greatest = maximum(log_weights)
     if greatest == -np.inf:
@@ -72,7 +71,19 @@ def _effective_size(weights, weight_sum):
 
 @kernel
 def _forward(
-    tables, rng, n_steps, scheme, threshold, conditional, path, particles, log_weights, steps, ancestors, previous, scratch
+    tables,
+    rng,
+    n_steps,
+    scheme,
+    threshold,
+    conditional,
+    path,
+    particles,
+    log_weights,
+    steps,
+    ancestors,
+    previous,
+    scratch,
 ):
     """Run the filter (eqs. 1 and 2) over the first `n_steps` rows.
 
@@ -138,8 +149,9 @@ def _forward(
 def _backward(tables, rng, n_steps, particles, log_weights, path, replicated, scratch):
     """Draw one trajectory backward in time (eqs. 3 to 7) into `path` (T, D).
 
-    The last state is drawn with the filter's weights, each earlier one with weight w_t p(x_t+1 | x_t), times the density of
-    the next readings where those look back. Returns (status, time, number of states that differ from what `path` held).
+    The last state is drawn with the filter's weights, each earlier one with weight w_t p(x_t+1 | x_t), times the
+    density of the next readings where those look back. Returns (status, time, number of states that differ from what
+    `path` held).
     """
     size, n = particles.shape[1], particles.shape[2]
     log_b, weights = scratch[0], scratch[1]
@@ -171,7 +183,7 @@ def _backward(tables, rng, n_steps, particles, log_weights, path, replicated, sc
 
 @entry
 def filter_pass(tables, rng, n_steps, n, scheme, threshold):
-    """Run a particle filter; return (status, time, log evidence, particles (T, D, n), log weights (T, n), steps (T, 2))."""
+    """Filter; return (status, time, log evidence, particles (T, D, n), log weights (T, n), steps (T, 2))."""
     size = state_size(tables.motion)
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
     steps = np.empty((n_steps, 2))
@@ -234,7 +246,7 @@ def sweep(tables, rng, n_steps, n, conditional, path):
 
 @kernel
 def joint(tables, columns, logp, scratch):
-    """Return log p(path, readings | theta) of a path given as `columns` (D, T); `logp` (T,) receives each row's share."""
+    """Return log p(path, readings | theta) of a path as `columns` (D, T); `logp` (T,) receives each row's share."""
     n_steps, size = columns.shape[1], columns.shape[0]
     for t in range(n_steps):
         logp[t] = 0.0

@@ -10,8 +10,6 @@ from pmcl.filtering.kernels.compile import kernel
 from pmcl.filtering.kernels.contract import draw_start, linearise_start, scratch_rows, start_logpdf
 from pmcl.models.tables import GaussianStart, PoseStart
 
-# mypy: disable-error-code="no-untyped-def"
-
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 

@@ -16,8 +16,6 @@ from pmcl.filtering.kernels.contract import (
 
 __all__ = ["any_look_back", "any_reading", "most_rows", "sum_information", "sum_logpdf", "sum_path_logpdf"]
 
-# mypy: disable-error-code="no-untyped-def"
-
 
 def any_reading(sensors, t):
     """Return whether any sensor measured anything at time t."""
@@ -52,7 +50,7 @@ def sum_information(sensors, geometries, t, precision, shift):
         linear_information(sensor, geometry, t, precision, shift)
 
 
-def _is_empty(sensors) -> bool:
+def _is_empty(sensors):
     return isinstance(sensors, types.BaseTuple) and len(sensors) == 0
 
 

@@ -1,0 +1,55 @@
+"""How long the compiled parts take; each benchmark prints its cost per particle-step or per sweep as extra info."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmcl.filtering.kernels.metropolis import metropolis_block
+from pmcl.filtering.particle_filter import sweep_path
+from pmcl.filtering.statistics import trajectory_statistics
+from pmcl.sampling.sweep import SweepSettings, step
+from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.transport import Proposal, linearised_at
+
+
+@pytest.mark.parametrize("n", [50, 500])
+@pytest.mark.parametrize("ring", ["mounted", "centred"])
+def test_filter_and_backward_trajectory_with_eight_beams(benchmark, amigobot, n, ring):
+    tables = amigobot.tables[0]
+    beams = tables.sensors[0]
+    if ring == "centred":  # all beams leave from one point
+        mount = beams.beam_pose.copy()
+        mount[:, :2] = 0.0
+        tables = tables._replace(sensors=(beams._replace(beam_pose=mount),))
+    path, n_steps = amigobot.path.copy(), len(amigobot.path)
+    benchmark(sweep_path, tables, path, n_steps, n, amigobot.rng, "smoothing")
+    benchmark.extra_info["ns_per_particle_step"] = benchmark.stats["min"] / (n_steps * n) * 1e9
+
+
+@pytest.mark.parametrize("n", [25, 500])
+def test_conditional_sweep_with_eight_landmarks(benchmark, landmarks, n):
+    path, n_steps = landmarks.path.copy(), len(landmarks.path)
+    benchmark(sweep_path, landmarks.tables[0], path, n_steps, n, landmarks.rng, "conditional")
+    benchmark.extra_info["ns_per_particle_step"] = benchmark.stats["min"] / (n_steps * n) * 1e9
+
+
+def test_metropolis_block_of_20_rounds(benchmark, amigobot):
+    bound, theta = amigobot.bound, amigobot.theta
+    statistics = trajectory_statistics(bound, theta, amigobot.tables, [amigobot.path])
+    log_step, accepted = np.log(0.05 * theta), np.zeros(theta.size)
+    benchmark(
+        metropolis_block, amigobot.rng, theta.copy(), log_step, 20, 0.0, 0.44, bound.priors, statistics, accepted
+    )
+
+
+def test_whole_default_sweep(benchmark, landmarks):
+    """Conditional SMC with 25 particles, Metropolis, block move, six transport moves."""
+    from tests.oracles.sweeps import first_state
+
+    bound, theta = landmarks.bound, landmarks.theta
+    d = theta.size
+    proposal = Proposal(0.05 * np.eye(d), np.log(theta), 0.05 * np.eye(d))
+    transport = linearised_at(bound, theta, [landmarks.path], proposal)
+    state = first_state(bound, theta, landmarks.path)
+    benchmark(step, bound, SweepSettings(), transport, Unconstrained(bound.parameters), state, 1)
