@@ -18,6 +18,7 @@ import contextlib
 import functools
 import hashlib
 import inspect
+import pickle
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -96,11 +97,41 @@ def _source_hash() -> str:
     return digest.hexdigest()
 
 
+# What reading an index raises when it names a table type that this process cannot import.
+_FOREIGN = (ImportError, AttributeError, pickle.UnpicklingError)
+
+
 class _SourceKeyedCache(caching.FunctionCache):
-    """numba's function cache with the hash of all sources in the key."""
+    """numba's function cache with the hash of all sources in the key, and an index of its own for each hash.
+
+    numba keeps one index per function, which names all table types ever compiled for. A process that cannot import a
+    user's types would fail to read it; such an index is as good as none.
+    """
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return (*super()._index_key(sig, codegen), _source_hash())
+
+    def _choose_index(self) -> None:
+        self._cache_file = caching.IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=f"{self._impl.filename_base}.{_source_hash()[:12]}",
+            source_stamp=self._impl.locator.get_source_stamp(),
+        )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        self._choose_index()
+        try:
+            return super().load_overload(sig, target_context)
+        except _FOREIGN:
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        self._choose_index()
+        try:
+            super().save_overload(sig, data)
+        except _FOREIGN:
+            self.flush()
+            super().save_overload(sig, data)
 
 
 def entry(function: Callable[..., Any]) -> Any:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from pmcl.filtering.kernels.compile import generic
 
 __all__ = [
+    "deviation_of_state",
     "draw_start",
     "has_reading",
     "linear_information",
@@ -23,6 +24,7 @@ __all__ = [
     "reading_logpdf",
     "scratch_rows",
     "start_logpdf",
+    "state_of_deviation",
     "state_size",
     "transition_logpdf",
 ]
@@ -147,3 +149,29 @@ def _readings_row_by_row(sensor, n_steps, path, logp, scratch):
         value[0] = 0.0
         reading_logpdf(sensor, t, before.reshape(size, 1), now.reshape(size, 1), value, work)
         logp[t] += value[0]
+
+
+@generic
+def state_of_deviation(motion, t, reference, after, deviation, out):
+    """Turn a deviation at time t, as the linearised model means it, into a state `out` (D,), given the next state `after`.
+
+    Optional: by default ``reference[t] + deviation``. A motion model may bend the map so that its own noise stays Gaussian
+    beyond first order. The map must have unit Jacobian and :func:`deviation_of_state` as its inverse.
+    """
+
+
+@generic
+def deviation_of_state(motion, t, reference, after, state, deviation):
+    """Do the inverse of :func:`state_of_deviation`: write the deviation (D,) of `state` given the next state `after`."""
+
+
+@state_of_deviation.register(object, allocates=False)
+def _straight_state(motion, t, reference, after, deviation, out):
+    for d in range(out.size):
+        out[d] = reference[t, d] + deviation[d]
+
+
+@deviation_of_state.register(object, allocates=False)
+def _straight_deviation(motion, t, reference, after, state, deviation):
+    for d in range(deviation.size):
+        deviation[d] = state[d] - reference[t, d]

@@ -8,6 +8,9 @@ precision is block tridiagonal; eliminating the blocks forward in time (a block 
 with lower triangular C[t]: Kalman filtering forward, sampling backward, in information form. For any theta this is a
 linear bijection between z and the path; carrying a path from theta to theta' with its z fixed has the Jacobian
 prod det C[t] / det C'[t]. Cost: O(T D^3).
+
+A motion model may bend the map from deviations to states, with unit Jacobian (:func:`.contract.state_of_deviation`):
+then d[t] above stands for the unbent deviation, and everything else holds as it is.
 """
 
 from __future__ import annotations
@@ -17,7 +20,13 @@ import math
 import numpy as np
 
 from pmcl.filtering.kernels.compile import entry, kernel
-from pmcl.filtering.kernels.contract import linearise_start, linearise_transition, state_size
+from pmcl.filtering.kernels.contract import (
+    deviation_of_state,
+    linearise_start,
+    linearise_transition,
+    state_of_deviation,
+    state_size,
+)
 from pmcl.filtering.kernels.smc import joint, work_rows
 from pmcl.filtering.kernels.tuples import sum_information
 from pmcl.filtering.kernels.vector_math import total
@@ -181,52 +190,61 @@ def factorise(tables, geometries, reference):
 
 
 @kernel
-def _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, z, size):
+def _standardise(motion, t, inner, path, reference, c, k_t, centre_t, z, size):
+    """Write z[t] of a path into `z`: C^T (deviation - centre - gain deviation[t + 1])."""
+    if t < path.shape[0] - 1:
+        deviation_of_state(motion, t, reference, path[t + 1], path[t], z)
+    else:
+        for i in range(size):
+            z[i] = path[t, i] - reference[t, i]
+    for i in range(size):
+        value = z[i] - centre_t[i]
+        if inner:
+            for j in range(size):
+                value -= k_t[i * size + j] * (path[t + 1, j] - reference[t + 1, j])
+        z[i] = value
+    for i in range(size):  # row i of C^T needs only entries from i on
+        value = 0.0
+        for k in range(i, size):
+            value += c[k * size + i] * z[k]
+        z[i] = value
+
+
+@kernel
+def _realise(motion, t, inner, out, reference, c, k_t, centre_t, z, size):
+    """Write the state at t that has standardised deviation `z` into ``out[t]``; `z` is overwritten."""
+    for i in range(size - 1, -1, -1):
+        value = z[i]
+        for k in range(i + 1, size):
+            value -= c[k * size + i] * z[k]
+        z[i] = value / c[i * size + i]
+    for i in range(size):
+        value = centre_t[i] + z[i]
+        if inner:
+            for j in range(size):
+                value += k_t[i * size + j] * (out[t + 1, j] - reference[t + 1, j])
+        z[i] = value
+    if t < out.shape[0] - 1:
+        state_of_deviation(motion, t, reference, out[t + 1], z, out[t])
+    else:
+        for i in range(size):
+            out[t, i] = reference[t, i] + z[i]
+
+
+@kernel
+def _carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, z, size):
     n_steps = path.shape[0]
     for t in range(n_steps - 1, -1, -1):
-        c, new_c, k_t, new_k = factor[t], new_factor[t], gain[t], new_gain[t]
-        last = t == n_steps - 1
-        for i in range(size):
-            value = path[t, i] - reference[t, i] - centre[t, i]
-            if not last:
-                for j in range(size):
-                    value -= k_t[i * size + j] * (path[t + 1, j] - reference[t + 1, j])
-            z[i] = value
-        for i in range(size):  # z <- C^T z; row i of C^T needs only entries from i on
-            value = 0.0
-            for k in range(i, size):
-                value += c[k * size + i] * z[k]
-            z[i] = value
-        for i in range(size - 1, -1, -1):  # z <- C'^-T z
-            value = z[i]
-            for k in range(i + 1, size):
-                value -= new_c[k * size + i] * z[k]
-            z[i] = value / new_c[i * size + i]
-        for i in range(size):
-            value = reference[t, i] + new_centre[t, i] + z[i]
-            if not last:
-                for j in range(size):
-                    value += new_k[i * size + j] * (out[t + 1, j] - reference[t + 1, j])
-            out[t, i] = value
+        inner = t < n_steps - 1
+        _standardise(motion, t, inner, path, reference, factor[t], gain[t], centre[t], z, size)
+        _realise(motion, t, inner, out, reference, new_factor[t], new_gain[t], new_centre[t], z, size)
 
 
 @entry
-def carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
+def carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
     """Return the path (T, D) that has the same z under the new factorisation as `path` has under the old one."""
-    out = np.empty_like(path)
-    _carry(
-        path,
-        reference,
-        factor,
-        gain,
-        centre,
-        new_factor,
-        new_gain,
-        new_centre,
-        out,
-        np.empty(path.shape[1]),
-        path.shape[1],
-    )
+    out, size = np.empty_like(path), state_size(motion)
+    _carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, np.empty(size), size)
     return out
 
 
@@ -261,7 +279,20 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
     )
     if log_determinant == -np.inf:
         return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
-    _carry(path, reference, factor, gain, centre, new_factor, new_gain, new_centre, carried, work, size)
+    _carry(
+        tables.motion,
+        path,
+        reference,
+        factor,
+        gain,
+        centre,
+        new_factor,
+        new_gain,
+        new_centre,
+        carried,
+        work[:size],
+        size,
+    )
     for t in range(n_steps):
         for d in range(size):
             columns[d, t] = carried[t, d]
@@ -270,35 +301,16 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
 
 
 @kernel
-def _redraw(path, reference, begin, stop, factor, gain, centre, noise, out, z, size):
+def _redraw(motion, path, reference, begin, stop, factor, gain, centre, noise, out, z, size):
     """Draw the rows begin ... stop - 1 anew into `out`; return half the change of the squared norm of z."""
     change = 0.0
     for t in range(stop - 1, begin - 1, -1):
-        c, k_t = factor[t], gain[t]
         inner = t < stop - 1
+        _standardise(motion, t, inner, path, reference, factor[t], gain[t], centre[t], z, size)
         for i in range(size):
-            value = path[t, i] - reference[t, i] - centre[t, i]
-            if inner:
-                for j in range(size):
-                    value -= k_t[i * size + j] * (path[t + 1, j] - reference[t + 1, j])
-            z[i] = value
-        for i in range(size):
-            value = 0.0
-            for k in range(i, size):
-                value += c[k * size + i] * z[k]
+            change += 0.5 * (noise[t, i] * noise[t, i] - z[i] * z[i])
             z[i] = noise[t, i]
-            change += 0.5 * (noise[t, i] * noise[t, i] - value * value)
-        for i in range(size - 1, -1, -1):
-            value = z[i]
-            for k in range(i + 1, size):
-                value -= c[k * size + i] * z[k]
-            z[i] = value / c[i * size + i]
-        for i in range(size):
-            value = reference[t, i] + centre[t, i] + z[i]
-            if inner:
-                for j in range(size):
-                    value += k_t[i * size + j] * (out[t + 1, j] - reference[t + 1, j])
-            out[t, i] = value
+        _realise(motion, t, inner, out, reference, factor[t], gain[t], centre[t], z, size)
     return change
 
 
@@ -356,7 +368,9 @@ def refresh_blocks(tables, geometries, reference, path, starts, noise, log_unifo
             log_ratio[block] = -np.inf
             found = _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size)
             if found > -np.inf:
-                log_ratio[block] = _redraw(path, reference, begin, stop, factor, gain, centre, noise, proposed, z, size)
+                log_ratio[block] = _redraw(
+                    tables.motion, path, reference, begin, stop, factor, gain, centre, noise, proposed, z, size
+                )
         _joint_rows(tables, proposed, columns, new_rows, scratch)
         for block in range(parity, n_blocks, 2):
             begin, stop = starts[block], starts[block + 1]

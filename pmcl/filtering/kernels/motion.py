@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 from pmcl.filtering.kernels.contract import (
+    deviation_of_state,
     linearise_transition,
     path_transition_logpdf,
     propagate,
     scratch_rows,
+    state_of_deviation,
     state_size,
     transition_logpdf,
 )
@@ -105,3 +107,32 @@ def _linearise_transition(motion, t, before, after, jacobian, offset, precision)
     precision[0, 1] = precision[1, 0] = c * s * (a - b)
     precision[0, 2] = precision[1, 2] = precision[2, 0] = precision[2, 1] = 0.0
     precision[2, 2] = motion.std[t, 2] ** -2
+
+
+# The noise of an increment is Gaussian in the robot's own frame, which turns with the heading. To first order a heading
+# deviation h turns the displacement to the next pose by h; these two maps turn all of it, noise included, by exactly
+# h. Without them a small sigma_left could not be told from the forward noise that a turned heading leaks into it.
+
+
+@state_of_deviation.register(IncrementMotion, allocates=False)
+def _state_of_deviation(motion, t, reference, after, deviation, out):
+    h = deviation[2]
+    c, s = math.cos(h), math.sin(h)
+    back_x, back_y = reference[t, 0] - reference[t + 1, 0], reference[t, 1] - reference[t + 1, 1]
+    u = back_x + deviation[0] - (after[0] - reference[t + 1, 0]) + h * back_y
+    v = back_y + deviation[1] - (after[1] - reference[t + 1, 1]) - h * back_x
+    out[0] = after[0] + c * u - s * v
+    out[1] = after[1] + s * u + c * v
+    out[2] = reference[t, 2] + h
+
+
+@deviation_of_state.register(IncrementMotion, allocates=False)
+def _deviation_of_state(motion, t, reference, after, state, deviation):
+    h = state[2] - reference[t, 2]
+    c, s = math.cos(h), math.sin(h)
+    back_x, back_y = reference[t, 0] - reference[t + 1, 0], reference[t, 1] - reference[t + 1, 1]
+    dx, dy = state[0] - after[0], state[1] - after[1]
+    u, v = c * dx + s * dy, c * dy - s * dx
+    deviation[0] = u - back_x - h * back_y + (after[0] - reference[t + 1, 0])
+    deviation[1] = v - back_y + h * back_x + (after[1] - reference[t + 1, 1])
+    deviation[2] = h
