@@ -1,1 +1,108 @@
-"""Bayesian calibration for Monte Carlo localization."""
+"""Bayesian calibration for Monte Carlo localization.
+
+From what a robot logged (odometry, range or landmark readings) and a map to the posterior of the noise parameters of
+its motion and sensors, after Kaboli, Bowling, Musilek (AAAI 2006)::
+
+    import pmcl
+
+    log = pmcl.read_log("robot.nc")             # or pmcl.simulate_amigobot()
+    data = pmcl.calibrate(log, progress=True)   # an ArviZ posterior
+    print(pmcl.verdict(data).message)
+    pmcl.write_posterior(data, "posterior.nc")
+
+Names are imported when they are first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pmcl.errors import PmclError
+    from pmcl.logs.robot_log import RobotLog
+    from pmcl.maps.landmarks import LandmarkMap
+    from pmcl.maps.walls import WallMap
+    from pmcl.models.parameters import Parameter
+    from pmcl.models.robot_model import RobotModel, default_model
+    from pmcl.posterior.calibrate import calibrate
+    from pmcl.posterior.diagnostics import verdict
+    from pmcl.posterior.files import read_posterior, write_posterior
+    from pmcl.robots.amigobot import simulate_amigobot
+    from pmcl.sampling.move import ParticleGibbsMove
+
+    __version__: str
+
+__all__ = [
+    "LandmarkMap",
+    "Parameter",
+    "ParticleGibbsMove",
+    "PmclError",
+    "RobotLog",
+    "RobotModel",
+    "WallMap",
+    "__version__",
+    "calibrate",
+    "default_model",
+    "read_log",
+    "read_posterior",
+    "simulate_amigobot",
+    "verdict",
+    "write_posterior",
+]
+
+_HOMES = {
+    "LandmarkMap": "pmcl.maps.landmarks",
+    "Parameter": "pmcl.models.parameters",
+    "ParticleGibbsMove": "pmcl.sampling.move",
+    "PmclError": "pmcl.errors",
+    "RobotLog": "pmcl.logs.robot_log",
+    "RobotModel": "pmcl.models.robot_model",
+    "WallMap": "pmcl.maps.walls",
+    "calibrate": "pmcl.posterior.calibrate",
+    "default_model": "pmcl.models.robot_model",
+    "read_posterior": "pmcl.posterior.files",
+    "simulate_amigobot": "pmcl.robots.amigobot",
+    "verdict": "pmcl.posterior.diagnostics",
+    "write_posterior": "pmcl.posterior.files",
+}
+
+
+def read_log(path: str | os.PathLike[str]) -> RobotLog:
+    """Read a robot log from its NetCDF file.
+
+    Parameters
+    ----------
+    path : path
+        A file that ``pmcl simulate``, ``pmcl convert`` or :meth:`~pmcl.logs.robot_log.RobotLog.write` wrote.
+
+    Returns
+    -------
+    RobotLog
+
+    Raises
+    ------
+    LogError, MapError
+        When the file is missing, damaged, or not a valid log.
+    """
+    from pmcl.logs.robot_log import RobotLog
+
+    return RobotLog.read(path)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("pmcl")
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"module 'pmcl' has no attribute '{name}'")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -158,6 +158,14 @@ class BoundModel:
         if self.names:
             self.check(self.prior_mean())
 
+    def __getstate__(self) -> dict[str, object]:
+        # The compiled prior is a closure, which pools of processes cannot pickle; it is made again from the parameters.
+        return {name: value for name, value in self.__dict__.items() if name != "_log_prior"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._log_prior = log_prior_function(self.parameters)
+
     def _slots(self) -> tuple[_Slots, ...]:
         position = {parameter.name: k for k, parameter in enumerate(self.parameters)}
         slots = []

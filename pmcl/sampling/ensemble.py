@@ -45,8 +45,8 @@ class PseudoMarginalTarget:
         self.size = state_dimension(bound)
         self.dtype = blob_dtype(bound, self.size)
 
-    def __call__(self, theta: Float) -> tuple[float, Any]:
-        """Return (log target, blob); the blob holds the estimate, one smoothed trajectory and their joint density."""
+    def __call__(self, theta: Float) -> tuple[Any, ...]:
+        """Return the log target and, one by one as emcee wants them, the blob's fields: estimate, trajectory, joint density."""
         bound, d = self.bound, self.bound.dimension
         theta = np.ascontiguousarray(theta, dtype=float)
         path = np.zeros((sum(bound.lengths), self.size))
@@ -74,7 +74,7 @@ class PseudoMarginalTarget:
         state = ChainState(
             theta, joint, path, nothing, 0.0, rows, nothing, *(math.nan,) * 3, evidence, effective, math.nan, 0
         )
-        return value + evidence, into_blob(state, self.dtype)
+        return value + evidence, *into_blob(state, self.dtype).item()
 
 
 def first_walkers(target: PseudoMarginalTarget, n_walkers: int, seed: int, pool: Any, tries: int = 8) -> State:
@@ -89,13 +89,13 @@ def first_walkers(target: PseudoMarginalTarget, n_walkers: int, seed: int, pool:
     coords = np.array([target.bound.draw_prior(rng) for _ in range(tries * n_walkers)])
     run = pool.map if pool is not None else map
     results = list(run(target, coords))
-    values = np.array([value for value, _ in results])
+    values = np.array([result[0] for result in results])
     best = np.argsort(-values, kind="stable")[:n_walkers]
     if not np.isfinite(values[best]).all():
         raise SamplingError(
             f"only {int(np.isfinite(values).sum())} of {values.size} draws from the prior can explain the readings, but "
             f"the ensemble needs {n_walkers}; use more particles, wider priors, or method particle-gibbs"
         )
-    blobs = np.array([results[k][1] for k in best], dtype=target.dtype)
+    blobs = np.array([results[k][1:] for k in best], dtype=target.dtype)
     random_state = np.random.RandomState(seed % 2**32).get_state()
     return State(coords[best], log_prob=values[best], blobs=blobs, random_state=random_state)

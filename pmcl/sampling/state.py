@@ -69,8 +69,9 @@ def blob_dtype(bound: BoundModel, size: int) -> np.dtype[Any]:
     d = bound.dimension
     return np.dtype(
         [
-            ("log_joint", float),
+            # First, because backends that keep paths apart put them back there, and emcee assigns fields by position.
             ("path", float, (sum(bound.lengths), size)),
+            ("log_joint", float),
             ("log_step", float, (d,)),
             ("log_scale", float),
             ("rows", np.int64),

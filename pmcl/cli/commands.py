@@ -1,0 +1,28 @@
+"""The commands, put together."""
+
+from __future__ import annotations
+
+import click
+
+from pmcl.cli.application import Application
+from pmcl.cli.calibrate import calibrate
+from pmcl.cli.convert import convert
+from pmcl.cli.demo import demo
+from pmcl.cli.report import report
+from pmcl.cli.simulate import simulate
+
+__all__ = ["pmcl"]
+
+
+@click.group(cls=Application, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="pmcl", message="pmcl %(version)s")
+def pmcl() -> None:
+    """Bayesian calibration for Monte Carlo localization.
+
+    From what a robot logged and a map to the posterior of the noise parameters of its motion and sensors.
+    Exit status: 0 done, 2 bad input or usage, 3 the chains have not converged.
+    """
+
+
+for command in (demo, simulate, convert, calibrate, report):
+    pmcl.add_command(command)

@@ -1,0 +1,87 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+__all__ = [
+    "output_folder",
+    "output_option",
+    "parameter_values",
+    "progress_option",
+    "seed_option",
+    "wants_progress",
+    "writable_file",
+]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def writable_file(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
+    """Check a file to be written before any work is done: hours of sampling must not end in a missing folder."""
+    if path is None:
+        return None
+    if path.is_dir():
+        raise click.BadParameter(f"expected a file to write, but got the folder {path}: add a file name", ctx, param)
+    output_folder(ctx, param, path.parent)
+    return path
+
+
+def output_folder(ctx: click.Context, param: click.Parameter, path: Path) -> Path:
+    """Check that a folder exists and can be written."""
+    if not path.is_dir():
+        raise click.BadParameter(f"expected an existing folder, but there is no folder {path}: create it", ctx, param)
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise click.BadParameter(
+            f"expected a folder that can be written, but {path} cannot: choose another", ctx, param
+        )
+    return path
+
+
+def parameter_values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    """Turn texts ``name=value`` into numbers by name."""
+    values = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            values[name.strip()] = math.nan
+        if not (name.strip() and math.isfinite(values[name.strip()])):
+            raise click.BadParameter(
+                f"expected name=value with a number in SI units, but got '{text}': write for example sigma_turn=0.03",
+                ctx,
+                param,
+            )
+    return values
+
+
+def output_option(what: str, *, required: bool = True) -> Callable[[Command], Command]:
+    """Return the option ``-o``; `what` describes the file."""
+    kind = click.Path(path_type=Path)
+    return click.option(
+        "-o", "--output", type=kind, required=required, metavar="FILE", callback=writable_file, help=what
+    )
+
+
+def seed_option(default: int = 0) -> Callable[[Command], Command]:
+    """Return the option ``--seed``."""
+    kind = click.IntRange(min=0)
+    return click.option("--seed", type=kind, default=default, show_default=True, help="All randomness follows from it.")
+
+
+def progress_option() -> Callable[[Command], Command]:
+    """Return the option ``--no-progress``."""
+    return click.option("--no-progress", is_flag=True, help="No progress bars (there are none either off a terminal).")
+
+
+def wants_progress(no_progress: bool) -> bool:
+    """Return whether to show progress bars: on a terminal, unless told not to."""
+    return not no_progress and sys.stderr.isatty()

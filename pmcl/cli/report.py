@@ -1,0 +1,45 @@
+"""``pmcl report``: a posterior as a page, and what all commands say about one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmcl.cli.application import NOT_CONVERGED
+from pmcl.cli.options import output_option
+
+if TYPE_CHECKING:
+    from pmcl.posterior.compat import Posterior
+
+__all__ = ["report", "tell"]
+
+
+@click.command()
+@click.argument("posterior", metavar="POSTERIOR.nc")
+@output_option("The page to write (HTML, one file).")
+def report(posterior: str, output: Path) -> None:
+    """Write one self-contained page about a posterior: verdict, table, figures, settings."""
+    from pmcl.posterior.diagnostics import verdict
+    from pmcl.posterior.files import read_posterior
+    from pmcl.reports.posterior_report import write_report
+
+    data = read_posterior(posterior)
+    write_report(data, output)
+    click.echo(verdict(data).message)
+    click.echo(f"report: {output}")
+
+
+def tell(data: Posterior) -> int:
+    """Print table and verdict of a posterior; return the exit status that they mean."""
+    from pmcl.posterior.diagnostics import summarize, verdict
+    from pmcl.reports.tables import summary_text
+
+    summary = summarize(data)
+    click.echo(summary_text(data, summary))
+    click.echo()
+    judged = verdict(data, summary)
+    for line in (judged.message, *judged.advice):
+        click.echo(line)
+    return 0 if judged.converged else NOT_CONVERGED

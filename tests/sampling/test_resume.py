@@ -1,0 +1,234 @@
+"""A run that is killed and resumed gives, to the last bit, what an uninterrupted one gives; so does any pool."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.amigobot_model import amigobot_log, tight_model
+from oracles.random_walk_model import rail_log, rail_model
+
+import pmcl
+from pmcl.errors import SamplingError
+from pmcl.posterior.calibrate import calibrate
+from pmcl.posterior.files import write_posterior
+from pmcl.sampling.run import run_ensemble, run_particle_gibbs
+from pmcl.sampling.stages import Plan
+
+SHORT = Plan(
+    particles=8, burn_in_particles=40, data_rate=3, settle=4, tuning=(6, 8), draws=12, sweeps_per_draw=1, trajectories=4
+)
+CALIBRATE = {
+    "draws": 12,
+    "chains": 2,
+    "particles": 8,
+    "burn_in_particles": 40,
+    "sweeps_per_draw": 1,
+    "trajectories": 4,
+    "seed": 11,
+}
+
+# Runs a calibration and is killed by SIGKILL within the given call of save_step: after the trajectory was written,
+# before emcee counts the step.
+KILLED = """
+import os, signal, sys
+from pmcl.sampling.backends import CheckpointBackend, HDFBackend
+left = int(sys.argv[2])
+saved = HDFBackend.save_step
+def save(self, state, accepted):
+    global left
+    left -= 1
+    if left == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    saved(self, state, accepted)
+HDFBackend.save_step = save
+from oracles.amigobot_model import amigobot_log, tight_model
+from pmcl.posterior.calibrate import calibrate
+calibrate(amigobot_log(6, seed=3), tight_model(), checkpoint=sys.argv[1], **{settings})
+"""
+
+
+def _killed(checkpoint, step, settings):
+    paths = [str(Path(pmcl.__file__).parents[1]), str(Path(__file__).resolve().parents[1])]
+    code = KILLED.replace("{settings}", repr(settings))
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(checkpoint), str(step)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+
+
+def _assert_same(one, other):
+    for name in ("theta", "log_joint", "trajectory_draw", "warmup_theta", "warmup_log_joint"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    for a, b in zip(one.trajectories, other.trajectories, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert one.statistics.keys() == other.statistics.keys()
+    for name, values in one.statistics.items():
+        np.testing.assert_array_equal(values, other.statistics[name], err_msg=name)
+    assert dict(one.settings) == dict(other.settings)
+
+
+@pytest.fixture(scope="module")
+def rail():
+    return rail_model().bind(rail_log(9, seed=2))
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(rail):
+    return run_particle_gibbs(rail, SHORT, 3, seed=5)
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    return calibrate(amigobot_log(6, seed=3), tight_model(), **CALIBRATE)
+
+
+# Steps of the stages on a log of 6 rows: inclusion 26, tuning 60, 80 and 120, then 12 draws.
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [10, 27, 292])
+def test_a_killed_run_goes_on_as_if_nothing_had_happened(step, calibrated, tmp_path):
+    """Killed while data is being included, just after that stage, and among the draws."""
+    log, model = amigobot_log(6, seed=3), tight_model()
+    checkpoint = tmp_path / "run.h5"
+    _killed(checkpoint, step, CALIBRATE)
+    resumed = calibrate(log, model, checkpoint=checkpoint, resume=True, **CALIBRATE)
+    write_posterior(calibrated, tmp_path / "whole.nc")
+    write_posterior(resumed, tmp_path / "resumed.nc")
+    assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "resumed.nc").read_bytes()
+
+
+def test_a_checkpoint_changes_nothing(rail, uninterrupted, tmp_path):
+    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(tmp_path / "run.h5")), uninterrupted)
+
+
+def test_a_finished_run_is_returned_as_it_was(rail, uninterrupted, tmp_path, monkeypatch):
+    path = str(tmp_path / "run.h5")
+    run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+    monkeypatch.setattr("pmcl.sampling.move.step", lambda *given: pytest.fail("a finished run made another step"))
+    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path, resume=True), uninterrupted)
+
+
+@pytest.mark.parametrize("count", [1, 3, 8, 20, 29])
+def test_a_run_stopped_by_an_error_can_be_resumed(rail, uninterrupted, count, tmp_path, monkeypatch):
+    """Ctrl-C at any step, in each stage in turn (7, 6, 8 and 12 steps)."""
+    from pmcl.sampling import backends
+
+    path, calls, saved = str(tmp_path / "run.h5"), [], backends.HDFBackend.save_step
+
+    def save(self, state, accepted):
+        calls.append(1)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+        saved(self, state, accepted)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(backends.HDFBackend, "save_step", save)
+        with pytest.raises(KeyboardInterrupt):
+            run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path, resume=True), uninterrupted)
+
+
+def _other(what):
+    """The same run but for one thing."""
+    log, model, plan, chains, seed = rail_log(9, seed=2), rail_model(), SHORT, 3, 5
+    if what == "log":
+        log = rail_log(9, seed=3)
+    elif what == "model":
+        model = rail_model(reading_std=0.4)
+    elif what == "prior":
+        from scipy import stats
+
+        from pmcl.models.robot_model import RobotModel
+
+        model = RobotModel(
+            model.motion, model.sensors, model.start, priors={"reading_std": stats.gamma(3.0, scale=0.21)}
+        )
+    elif what == "setting":
+        plan = Plan(**{**vars(SHORT), "particles": 9})
+    elif what == "chains":
+        chains = 4
+    elif what == "seed":
+        seed = 6
+    return model.bind(log), plan, chains, seed
+
+
+@pytest.fixture(scope="module")
+def finished(rail, tmp_path_factory):
+    path = str(tmp_path_factory.mktemp("finished") / "run.h5")
+    run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+    return path
+
+
+@pytest.mark.parametrize("what", ["log", "model", "prior", "setting", "chains", "seed"])
+def test_another_run_is_refused(what, finished):
+    bound, plan, chains, seed = _other(what)
+    with pytest.raises(SamplingError, match="the checkpoint belongs to another run") as caught:
+        run_particle_gibbs(bound, plan, chains, seed, checkpoint=finished, resume=True)
+    assert "\n" not in str(caught.value)
+    assert finished in str(caught.value)
+
+
+def test_an_existing_checkpoint_is_never_overwritten(rail, finished):
+    before = Path(finished).read_bytes()
+    with pytest.raises(SamplingError, match="expected no checkpoint, but there is one"):
+        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=finished)
+    assert Path(finished).read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [b"", b"no HDF5 file at all"])
+def test_what_is_no_checkpoint_is_refused_in_one_line(rail, content, tmp_path):
+    path = tmp_path / "run.h5"
+    path.write_bytes(content)
+    with pytest.raises(SamplingError) as caught:
+        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_checkpoint_that_cannot_be_written_is_refused(rail, tmp_path):
+    with pytest.raises(SamplingError, match="cannot be written"):
+        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(tmp_path / "no folder" / "run.h5"))
+
+
+def test_processes_give_the_same_chains_as_threads(rail, uninterrupted):
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
+        _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, pool=pool), uninterrupted)
+
+
+def test_another_seed_gives_other_chains(rail, uninterrupted):
+    other = run_particle_gibbs(rail, SHORT, 3, seed=6)
+    assert (other.theta != uninterrupted.theta).all()
+    # Chains of one run differ too.
+    assert len(np.unique(uninterrupted.theta[:, -1, 0])) == 3
+
+
+def test_an_ensemble_can_be_resumed_too(rail, tmp_path, monkeypatch):
+    from pmcl.sampling import backends
+
+    sizes = {"particles": 20, "n_walkers": 6, "draws": 10, "burn_in": 6, "seed": 3, "trajectories": 2}
+    whole = run_ensemble(rail, **sizes)
+    for count in (2, 9):
+        path, calls, saved = str(tmp_path / f"run{count}.h5"), [], backends.HDFBackend.save_step
+
+        def save(self, state, accepted, calls=calls, count=count, saved=saved):
+            calls.append(1)
+            if len(calls) == count:
+                raise KeyboardInterrupt
+            saved(self, state, accepted)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(backends.HDFBackend, "save_step", save)
+            with pytest.raises(KeyboardInterrupt):
+                run_ensemble(rail, checkpoint=path, **sizes)
+        _assert_same(run_ensemble(rail, checkpoint=path, resume=True, **sizes), whole)

@@ -1,0 +1,173 @@
+"""Starts that cannot be, densities that are no numbers, and chains that got lost."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.random_walk_model import BoundRailSensor, RailMotion, RailSensor, RailStart, rail_log, rail_model
+
+from pmcl.errors import FilterError, SamplingError
+from pmcl.models.robot_model import RobotModel
+from pmcl.sampling.run import run_particle_gibbs
+from pmcl.sampling.stages import Plan, lost_chains, plan_stages, restarted
+from pmcl.sampling.state import from_blob, into_blob
+from pmcl.sampling.sweep import SweepSettings, start_chain, step
+from pmcl.sampling.transforms import Unconstrained
+
+T = 12
+SHORT = Plan(particles=10, burn_in_particles=50, data_rate=4, settle=4, tuning=(6,), draws=5, sweeps_per_draw=1)
+
+
+class StrangeSensor(RailSensor):
+    """A reading noise that is impossible, or no number, for some values of the parameter."""
+
+    def __init__(self, impossible_below: float = 0.0, nan_above: float = np.inf) -> None:
+        super().__init__()
+        object.__setattr__(self, "limits", (impossible_below, nan_above))
+
+    def bind(self, log: Any) -> Any:
+        return BoundStrangeSensor(super().bind(log).reading, *self.limits)
+
+
+class BoundStrangeSensor(BoundRailSensor):
+    def __init__(self, reading: Any, impossible_below: float, nan_above: float) -> None:
+        super().__init__(reading)
+        object.__setattr__(self, "limits", (impossible_below, nan_above))
+
+    def table(self, theta: Any) -> Any:
+        low, high = self.limits
+        table = super().table(theta)
+        if theta[0] > high:
+            return table._replace(std=float("nan"))
+        # So far from every reading, and so sharp, that the density of each is exactly zero.
+        return table._replace(reading=table.reading + 1e200, std=1e-3) if theta[0] < low else table
+
+
+def _bound(sensor: RailSensor) -> Any:
+    return RobotModel(RailMotion(), (sensor,), RailStart()).bind(rail_log(T, seed=4))
+
+
+def test_an_impossible_theta_is_drawn_again_and_counted(caplog):
+    """About half of the prior's draws lie below its median."""
+    median = float(RailSensor().parameters[0].prior.median())
+    bound = _bound(StrangeSensor(impossible_below=median))
+    starts = [start_chain(bound, SweepSettings("smoothing", 30, data_rate=4), seed) for seed in range(60)]
+    assert all(state.theta[1] > median for state, _ in starts)
+    assert all(np.isfinite(state.log_joint) for state, _ in starts)
+    # Redraws before a success of probability 1/2 have mean 1 and standard deviation sqrt 2.
+    assert abs(np.mean([count for _, count in starts]) - 1.0) < 5.0 * np.sqrt(2.0 / 60.0)
+    with caplog.at_level(logging.WARNING, "pmcl.sampling"):
+        chains = run_particle_gibbs(bound, SHORT, 4, seed=0)
+    assert chains.settings["impossible_starts"] > 0
+    assert f"{chains.settings['impossible_starts']} draws of theta" in caplog.text
+
+
+def test_a_start_that_is_impossible_everywhere_says_so_in_one_line():
+    bound = _bound(StrangeSensor(impossible_below=np.inf))
+    with pytest.raises(SamplingError, match="no start in 7 draws from the prior gives the first 4 rows") as caught:
+        start_chain(bound, SweepSettings("smoothing", 30, data_rate=4), 1, attempts=7)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_density_that_is_no_number_names_row_and_parameters():
+    bound = _bound(StrangeSensor(nan_above=0.9))
+    state, _ = start_chain(bound, SweepSettings("smoothing", 30), 1)
+    bad = state._replace(theta=np.array([0.5, 1.25]))
+    with pytest.raises(FilterError, match="at row 0 a density is not a number") as caught:
+        step(bound, SweepSettings("conditional", 10), None, Unconstrained(bound.parameters), bad, 1)
+    assert "process_std=0.5, reading_std=1.25" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sweep_in_which_every_particle_dies_keeps_the_path():
+    """`smoothing` may lose every particle; the old trajectory stays, it is counted, and theta moves on."""
+    bound = _bound(StrangeSensor(impossible_below=0.3))
+    state, _ = start_chain(bound, SweepSettings("smoothing", 30), 1)
+    doomed = state._replace(theta=np.array([0.5, 0.2]))
+    settings = SweepSettings("smoothing", 10, metropolis_steps=0, transport_moves=0)
+    new = step(bound, settings, None, Unconstrained(bound.parameters), doomed, 1)
+    assert new.dead == state.dead + 1
+    np.testing.assert_array_equal(new.path, state.path)
+    assert new.log_joint == -np.inf
+
+
+def test_a_step_is_a_function_of_its_arguments():
+    bound = rail_model().bind(rail_log(T, seed=4))
+    state, _ = start_chain(bound, SweepSettings("smoothing", 30), 1)
+    kept = state.path.copy()
+    settings, transform = SweepSettings("conditional", 10, sweeps=3), Unconstrained(bound.parameters)
+    first, second, other = (step(bound, settings, None, transform, state, seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.theta, second.theta)
+    np.testing.assert_array_equal(first.path, second.path)
+    assert (first.path != other.path).any()
+    np.testing.assert_array_equal(state.path, kept)
+
+
+class _Finished:
+    """A backend with the blobs of a finished stage."""
+
+    def __init__(self, blobs: Any) -> None:
+        self.blobs = blobs
+
+    def get_blobs(self) -> Any:
+        return self.blobs
+
+
+def _stage_blobs(evidence: Any, rows: Any) -> Any:
+    evidence = np.asarray(evidence, dtype=float)
+    blobs = np.zeros(evidence.shape, dtype=[("log_evidence", float), ("rows", int)])
+    blobs["log_evidence"] = evidence
+    blobs["rows"] = rows
+    return blobs
+
+
+def _tuning_stage() -> Any:
+    return plan_stages(Plan(tuning=(20, 20)), T)[1]
+
+
+def test_a_lost_chain_is_found_and_restarted_from_the_best(rng, caplog):
+    evidence = rng.normal([-100.0, -102.0, -900.0, -101.0], 1.0, (20, 4))
+    with caplog.at_level(logging.WARNING, "pmcl.sampling"):
+        lost = lost_chains(_Finished(_stage_blobs(evidence, T)), _tuning_stage(), T)
+    assert list(lost) == [2]
+    assert lost[2] in (0, 3)
+    assert "chain 2 is lost" in caplog.text
+
+
+def test_chains_that_scatter_are_not_lost(rng):
+    evidence = rng.normal([-100.0, -110.0, -130.0, -95.0], 10.0, (20, 4))
+    assert lost_chains(_Finished(_stage_blobs(evidence, T)), _tuning_stage(), T) == {}
+
+
+def test_a_chain_that_could_not_include_all_rows_is_lost(rng):
+    evidence = rng.normal(-100.0, 1.0, (20, 3))
+    evidence[:, 1] = -np.inf
+    assert list(lost_chains(_Finished(_stage_blobs(evidence, [T, T - 3, T])), _tuning_stage(), T)) == [1]
+
+
+def test_if_every_chain_is_stuck_the_row_is_named(rng):
+    evidence = np.full((20, 2), -np.inf)
+    with pytest.raises(SamplingError, match=f"no chain got past row 9 of {T}"):
+        lost_chains(_Finished(_stage_blobs(evidence, [9, 4])), _tuning_stage(), T)
+
+
+def test_a_restarted_chain_is_a_copy_of_its_own():
+    bound = rail_model().bind(rail_log(T, seed=4))
+    from emcee.state import State
+
+    from pmcl.sampling.move import ParticleGibbsMove
+
+    dtype = ParticleGibbsMove(bound).dtype
+    states = [start_chain(bound, SweepSettings("smoothing", 30), seed)[0] for seed in range(3)]
+    blobs = np.array([into_blob(state, dtype) for state in states], dtype=dtype)
+    coords, log_prob = np.array([s.theta for s in states]), np.array([s.log_joint for s in states])
+    new = restarted(State(coords, log_prob=log_prob, blobs=blobs, random_state=None), {0: 2})
+    np.testing.assert_array_equal(new.coords, coords[[2, 1, 2]])
+    np.testing.assert_array_equal(new.log_prob, log_prob[[2, 1, 2]])
+    copied = from_blob(new.coords[0], new.blobs[0])
+    np.testing.assert_array_equal(copied.path, states[2].path)
+    new.blobs["path"][0] += 1.0
+    np.testing.assert_array_equal(new.blobs["path"][2], states[2].path)

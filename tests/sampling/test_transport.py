@@ -1,0 +1,213 @@
+"""The Gaussian transport move: exact bijection, right Jacobian, and nothing changed in the posterior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles import kalman
+from oracles.amigobot_model import THETA, amigobot_log, tight_model
+from oracles.monte_carlo import TOLERANCE, assert_agrees, off_by
+from oracles.random_walk_model import rail_log, rail_model
+
+from pmcl.filtering.kernels.linear import carry, factorise, refresh_blocks, transport_trial
+from pmcl.filtering.particle_filter import log_joint, make_rng
+from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
+
+
+def _linearised(bound, theta, reference):
+    transport = linearised_at(bound, theta, [reference], Proposal(0.1 * np.eye(bound.dimension)))
+    assert transport is not None
+    return transport
+
+
+def _factors(bound, theta, transport):
+    return factorise(bound.tables(theta)[0], transport.geometries[0], transport.references[0])
+
+
+@pytest.fixture(scope="module")
+def amigobot():
+    """A bound wall-range model of five steps, its true path as reference, and the linearisation there."""
+    log = amigobot_log(5, seed=5)
+    bound = tight_model().bind(log)
+    return bound, np.array(log.true_poses), _linearised(bound, THETA, np.array(log.true_poses))
+
+
+@pytest.fixture(scope="module")
+def rail():
+    bound = rail_model().bind(rail_log(30, seed=3, missing=(7,)))
+    return bound, _linearised(bound, np.array([0.5, 0.4]), np.full((30, 1), 50.0))
+
+
+def test_the_linear_model_is_factorised_exactly(rail):
+    """Mean and covariance of the path from the factors, against dense linear algebra, at several theta."""
+    bound, transport = rail
+    for theta in ([0.5, 0.4], [0.2, 1.1], [1.5, 0.05]):
+        tables = bound.tables(np.array(theta))[0]
+        mean, covariance = kalman.path_posterior(kalman.linear_model(tables), *theta)
+        log_determinant, factor, gain, centre = _factors(bound, np.array(theta), transport)
+        # Deviations d = centre + gain d[t+1] + factor^-T z: solve for what z -> d does.
+        system = np.eye(30) - np.diag(gain[:-1, 0], 1)
+        root = np.linalg.inv(system) @ np.diag(1.0 / factor[:, 0])
+        np.testing.assert_allclose(50.0 + np.linalg.solve(system, centre[:, 0]), mean, rtol=1e-10)
+        np.testing.assert_allclose(root @ root.T, covariance, rtol=1e-8, atol=1e-12)
+        assert log_determinant == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1], rel=1e-10)
+
+
+def test_a_linear_model_is_moved_from_one_smoother_to_another(rail, rng):
+    """Exact draws of the path under theta become exact draws under theta'; their log weights then do not vary."""
+    bound, transport = rail
+    theta, new = np.array([0.5, 0.4]), np.array([0.8, 0.3])
+    tables, new_tables = bound.tables(theta)[0], bound.tables(new)[0]
+    mean, covariance = kalman.path_posterior(kalman.linear_model(tables), *theta)
+    now, then = _factors(bound, theta, transport), _factors(bound, new, transport)
+    values = []
+    for _ in range(5):
+        path = rng.multivariate_normal(mean, covariance)[:, None]
+        moved = carry(path, transport.references[0], *now[1:], *then[1:])
+        ratio = log_joint(new_tables, moved) - then[0] - log_joint(tables, path) + now[0]
+        values.append(ratio)
+    exact = kalman.log_evidence(kalman.linear_model(new_tables), *new)
+    exact -= kalman.log_evidence(kalman.linear_model(tables), *theta)
+    np.testing.assert_allclose(values, exact, rtol=1e-9)
+
+
+@pytest.mark.parametrize("which", ["rail", "amigobot"])
+def test_the_way_back_undoes_the_way_there(which, rail, amigobot, rng):
+    bound, transport = rail if which == "rail" else amigobot[::2]
+    reference = transport.references[0]
+    path = reference + 0.05 * rng.standard_normal(reference.shape)
+    theta = bound.prior_mean()
+    for scale in (0.3, 0.9, 3.0):
+        now, then = _factors(bound, theta, transport), _factors(bound, scale * theta, transport)
+        moved = carry(path, reference, *now[1:], *then[1:])
+        assert np.abs(moved - path).max() > 1e-4
+        np.testing.assert_allclose(carry(moved, reference, *then[1:], *now[1:]), path, atol=1e-10)
+        np.testing.assert_array_equal(carry(path, reference, *now[1:], *now[1:]).round(12), path.round(12))
+
+
+def test_jacobian_against_finite_differences(amigobot, rng):
+    """Determinant of the full 15 x 15 derivative of the carried path, by numerical differentiation."""
+    bound, reference, transport = amigobot
+    now, then = _factors(bound, THETA, transport), _factors(bound, np.array([0.08, 0.02, 0.05, 0.15]), transport)
+    path, step = reference + 0.03 * rng.standard_normal(reference.shape), 1e-5
+
+    def moved(flat):
+        return carry(flat.reshape(reference.shape), reference, *now[1:], *then[1:]).ravel()
+
+    flat = path.ravel()
+    columns = [(moved(flat + unit) - moved(flat - unit)) / (2.0 * step) for unit in step * np.eye(flat.size)]
+    sign, log_determinant = np.linalg.slogdet(np.array(columns).T)
+    assert sign == 1.0
+    assert abs(log_determinant) > 0.5
+    assert log_determinant == pytest.approx(now[0] - then[0], abs=1e-6)
+
+
+def test_one_call_does_what_its_parts_do(amigobot, rng):
+    bound, reference, transport = amigobot
+    new = np.array([0.08, 0.02, 0.05, 0.15])
+    now, then = _factors(bound, THETA, transport), _factors(bound, new, transport)
+    path = reference + 0.03 * rng.standard_normal(reference.shape)
+    trial = transport_trial(bound.tables(new)[0], transport.geometries[0], reference, path, *now[1:])
+    moved = carry(path, reference, *now[1:], *then[1:])
+    np.testing.assert_allclose(trial[5], moved, rtol=1e-12)
+    assert trial[0] == pytest.approx(log_joint(bound.tables(new)[0], moved), rel=1e-12)
+    assert trial[1] == pytest.approx(then[0], rel=1e-12)
+    lower = np.tril(np.ones((3, 3))).ravel() > 0.0  # the rest of a factor is undefined
+    np.testing.assert_allclose(trial[2][:, lower], then[1][:, lower], rtol=1e-10, atol=1e-12)
+    for got, wanted in zip(trial[3:5], then[2:], strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("which", ["rail", "amigobot"])
+def test_what_moves_return_belongs_together(which, rail, amigobot, rng):
+    """After many moves the returned joint density is that of the returned parameters and path."""
+    bound, transport = rail if which == "rail" else amigobot[::2]
+    theta, paths = bound.prior_mean(), [transport.references[0].copy()]
+    value = bound.log_prior(theta) + log_joint(bound.tables(theta)[0], paths[0])
+    transform = Unconstrained(bound.parameters)
+    sfc = make_rng(int(rng.integers(2**62)))
+    proposal = Proposal(0.3 * np.eye(theta.size), transform.to_line(theta), 0.4 * np.eye(theta.size))
+    made = transport_moves(bound, theta, paths, value, replace(transport, proposal=proposal), transform, 200, 1.0, sfc)
+    assert 0.02 < made.walked < 1.0
+    assert 0.02 < made.jumped < 1.0
+    assert made.refreshed > 0.1
+    exact = bound.log_prior(made.theta) + log_joint(bound.tables(made.theta)[0], made.paths[0])
+    assert made.log_joint == pytest.approx(exact, rel=1e-10)
+    np.testing.assert_array_equal(paths[0], transport.references[0])
+
+
+def test_proposals_outside_the_prior_are_refused(amigobot, rng):
+    """Huge steps never give parameters without density, and no step at all is always accepted."""
+    bound, reference, transport = amigobot
+    value = bound.log_prior(THETA) + log_joint(bound.tables(THETA)[0], reference)
+    transform, sfc = Unconstrained(bound.parameters), make_rng(int(rng.integers(2**62)))
+    far = transport_moves(bound, THETA, [reference], value, transport, transform, 50, 1e3, sfc)
+    assert far.walked == 0.0
+    np.testing.assert_array_equal(far.theta, THETA)
+    assert transport_moves(bound, THETA, [reference], value, transport, transform, 50, 0.0, sfc).walked == 1.0
+
+
+# The path redrawn in blocks from the linearised model
+
+
+def _refreshed(bound, transport, theta, rng, runs=6000, blind=False):
+    """Exact draws of the rail's path after two passes in random blocks; `blind` accepts every block."""
+    tables = bound.tables(theta)[0]
+    mean, covariance = kalman.path_posterior(kalman.linear_model(tables), *theta)
+    paths = rng.multivariate_normal(mean, covariance, runs)
+    shares = []
+    for k in range(runs):
+        path = np.ascontiguousarray(paths[k, :, None])
+        for block in (7, 11):
+            starts = np.r_[0, np.arange(1 + rng.integers(block), 30, block), 30].astype(np.int64)
+            log_uniform = np.full(starts.size - 1, -1e300) if blind else np.log(rng.random(starts.size - 1))
+            noise = rng.standard_normal((30, 1))
+            value, share = refresh_blocks(
+                tables, transport.geometries[0], transport.references[0], path, starts, noise, log_uniform
+            )
+            shares.append(share)
+        paths[k] = path[:, 0]
+    assert value == pytest.approx(log_joint(tables, path), rel=1e-10)
+    x, variance = paths - mean, np.diag(covariance)
+    return float(np.mean(shares)), [
+        (x, 0.0 * mean, 0.15 * np.sqrt(variance)),
+        (x**2, variance, 0.2 * variance),
+        (x[:, 1:] * x[:, :-1], np.diag(covariance, 1), 0.2 * np.sqrt(variance[1:] * variance[:-1])),
+    ]
+
+
+def _poor(transport):
+    """The same linearisation with readings 0.2 m off: a proposal that needs its correction."""
+    ((positions,),) = transport.geometries
+    return replace(transport, geometries=((positions._replace(value=positions.value - 0.2),),))
+
+
+def test_blocks_of_a_linear_model_are_always_accepted(rail, rng):
+    bound, transport = rail
+    share, moments = _refreshed(bound, transport, np.array([0.5, 0.4]), rng)
+    assert share == 1.0
+    for draws, exact, matters in moments:
+        assert_agrees(draws, exact, matters)
+
+
+def test_blocks_from_a_poor_linearisation_keep_the_exact_law(rail, rng):
+    bound, transport = rail
+    share, moments = _refreshed(bound, _poor(transport), np.array([0.5, 0.4]), rng)
+    assert 0.1 < share < 0.9
+    for draws, exact, matters in moments:
+        assert_agrees(draws, exact, matters)
+
+
+def test_accepting_every_block_does_not(rail, rng):
+    bound, transport = rail
+    _, moments = _refreshed(bound, _poor(transport), np.array([0.5, 0.4]), rng, blind=True)
+    assert max(np.max(off_by(draws, exact)) for draws, exact, _ in moments) > TOLERANCE
+
+
+def test_a_sensor_without_linearisation_gives_no_transport(amigobot, monkeypatch):
+    bound, reference, _ = amigobot
+    monkeypatch.setattr("pmcl.sampling.transport.reading_geometry", lambda table, reference: None)
+    assert linearised_at(bound, THETA, [reference], Proposal(np.eye(4))) is None
