@@ -1,8 +1,9 @@
 """Simulation-based calibration: does the posterior contain the truth as often as it says?
 
-Draw theta from its prior, a path and readings from the model, and the posterior from the readings. The rank of the true
-theta among independent posterior draws is then uniform, whatever the prior (Talts et al., arXiv:1804.06788). A replicate
-is one row of results.csv, and a function of its seed alone; what is already in the file is not computed again:
+Draw theta from its prior, a path and readings from the model, and the posterior from the readings. The rank of the
+true theta among independent posterior draws is then uniform, whatever the prior (Talts et al., arXiv:1804.06788). A
+replicate is one row of results.csv, and a function of its seed alone. What is already in the file is not computed
+again:
 
     python run.py --kernel conditional --replicates 200
     python run.py --kernel smoothing --replicates 200
@@ -66,9 +67,7 @@ def replicate(number: int, kernel: str, particles: int) -> dict[str, float | int
     rng = make_rng(int(simulation))
     shape = (ROWS, len(LANDMARKS))
     everywhere = log_with({"range": np.ones(shape), "bearing": np.ones(shape)})
-    model = replace(
-        default_model(everywhere), priors={name: gamma_prior(mean) for name, mean in MEANS.items()}
-    )
+    model = replace(default_model(everywhere), priors={name: gamma_prior(mean) for name, mean in MEANS.items()})
     blank = model.bind(everywhere)
     theta = blank.draw_prior(rng)
     (tables,) = blank.tables(theta)

@@ -46,7 +46,7 @@ class PseudoMarginalTarget:
         self.dtype = blob_dtype(bound, self.size)
 
     def __call__(self, theta: Float) -> tuple[Any, ...]:
-        """Return the log target and, one by one as emcee wants them, the blob's fields: estimate, trajectory, joint density."""
+        """Return the log target and, one by one as emcee wants them, the fields of the blob."""
         bound, d = self.bound, self.bound.dimension
         theta = np.ascontiguousarray(theta, dtype=float)
         path = np.zeros((sum(bound.lengths), self.size))
@@ -93,8 +93,8 @@ def first_walkers(target: PseudoMarginalTarget, n_walkers: int, seed: int, pool:
     best = np.argsort(-values, kind="stable")[:n_walkers]
     if not np.isfinite(values[best]).all():
         raise SamplingError(
-            f"only {int(np.isfinite(values).sum())} of {values.size} draws from the prior can explain the readings, but "
-            f"the ensemble needs {n_walkers}; use more particles, wider priors, or method particle-gibbs"
+            f"only {int(np.isfinite(values).sum())} of {values.size} draws from the prior can explain the readings, "
+            f"but the ensemble needs {n_walkers}; use more particles, wider priors, or method particle-gibbs"
         )
     blobs = np.array([results[k][1:] for k in best], dtype=target.dtype)
     random_state = np.random.RandomState(seed % 2**32).get_state()
