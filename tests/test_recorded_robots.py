@@ -17,7 +17,8 @@ from pmcl.posterior.files import read_posterior
 
 
 def run(*arguments) -> None:
-    finished = subprocess.run([sys.executable, "-c", "from pmcl.cli import main; main()", *map(str, arguments)], capture_output=True, text=True)
+    command = [sys.executable, "-c", "from pmcl.cli import main; main()", *map(str, arguments)]
+    finished = subprocess.run(command, capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr
 
 
@@ -31,15 +32,15 @@ def path_error(data, log: RobotLog) -> tuple[float, float]:
     return float(position), float(np.sqrt((wrap(heading - log.true_poses[:, 2])[known] ** 2).mean()))
 
 
+RECORDINGS = [
+    ("mrclam", "mrclam6", ["--robot", "1", "--period", "0.5"], 0.60),
+    ("barfoot", "lost_in_the_woods", [], 0.30),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("source", "folder", "options", "worst_error"),
-    [
-        ("mrclam", "mrclam6", ["--robot", "1", "--period", "0.5"], 0.60),
-        ("barfoot", "lost_in_the_woods", [], 0.30),
-    ],
-)
-def test_a_recorded_robot_is_calibrated_and_followed(shared_data, tmp_path, capsys, source, folder, options, worst_error):
+@pytest.mark.parametrize(("source", "folder", "options", "worst_error"), RECORDINGS)
+def test_a_recorded_robot_is_calibrated(shared_data, tmp_path, capsys, source, folder, options, worst_error):
     log_file, posterior_file = tmp_path / "run.nc", tmp_path / "post.nc"
     run("convert", source, shared_data / folder, *options, "-o", log_file)
     began = time.perf_counter()
@@ -50,8 +51,9 @@ def test_a_recorded_robot_is_calibrated_and_followed(shared_data, tmp_path, caps
     position, heading = path_error(data, log)
     with capsys.disabled():
         print(
-            f"\n{folder}: {seconds:.0f} s, R-hat <= {float(summary['r_hat'].max()):.4f}, bulk ESS >= "
-            f"{float(summary['ess_bulk'].min()):.0f}; smoothed path off by {position:.3f} m and {heading:.4f} rad (RMSE)"
+            f"\n{folder}: {seconds:.0f} s, R-hat <= {float(summary['r_hat'].max()):.4f}, "
+            f"bulk ESS >= {float(summary['ess_bulk'].min()):.0f}; "
+            f"smoothed path off by {position:.3f} m and {heading:.4f} rad (RMSE)"
         )
     assert float(summary["r_hat"].max()) <= 1.005
     assert float(summary["ess_bulk"].min()) >= 1000

@@ -28,7 +28,7 @@ T, BEAMS = 5, 2
 THETA = np.array([0.05, 0.03, 0.06, 0.3])
 SETTINGS = SweepSettings("conditional", 8, 2, 3)
 # Independent proposals centred beside the prior: their density must be corrected for.
-PROPOSAL = Proposal(0.35 * np.eye(4), np.log(THETA) - 0.2, 0.4 * np.eye(4))
+PROPOSAL = Proposal(0.35 * np.eye(4), np.log(THETA) - 0.5, 0.4 * np.eye(4))
 # In units of each quantity's own standard deviation.
 MATTERS = 0.4
 
