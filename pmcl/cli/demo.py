@@ -19,7 +19,7 @@ _FILES = {
     "picture": "demo_posterior.png",
 }
 
-# Enough for some 600 effective draws of every parameter, and short enough to wait for.
+# Enough for a thousand effective draws of every parameter, and short enough to wait for.
 _DRAWS = 600
 
 
@@ -33,7 +33,7 @@ _DRAWS = 600
     callback=output_folder,
     help="Where to write.",
 )
-@seed_option()
+@seed_option(default=9)
 @progress_option()
 @click.pass_context
 def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None:

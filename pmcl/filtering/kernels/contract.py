@@ -155,14 +155,15 @@ def _readings_row_by_row(sensor, n_steps, path, logp, scratch):
 def state_of_deviation(motion, t, reference, after, deviation, out):
     """Turn a deviation at time t, as the linearised model means it, into a state `out` (D,).
 
-    `after` (D,) is the next state. Optional: by default ``reference[t] + deviation``. A motion model may bend the map so that its own noise stays
-    Gaussian beyond first order. The map must have unit Jacobian and :func:`deviation_of_state` as its inverse.
+    `after` (D,) is the next state. Optional: by default ``reference[t] + deviation``. A motion model may bend the map
+    so that its own noise stays Gaussian beyond first order. The map must have unit Jacobian, and
+    :func:`deviation_of_state` as its inverse.
     """
 
 
 @generic
 def deviation_of_state(motion, t, reference, after, state, deviation):
-    """Do the inverse of :func:`state_of_deviation`: write the `deviation` (D,) of `state` given the state `after` it."""
+    """Do the inverse of :func:`state_of_deviation`: write the deviation (D,) of `state` given the next one."""
 
 
 @state_of_deviation.register(object, allocates=False)
