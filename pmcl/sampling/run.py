@@ -34,8 +34,8 @@ Float = NDArray[np.float64]
 _STATISTICS = {
     "accepted": "acceptance_rate",
     "walked": "transport_walk_acceptance_rate",
-    "jumped": "transport_jump_acceptance_rate",
-    "refreshed": "path_block_acceptance_rate",
+    "jumped": "transport_jump_rate",
+    "refreshed": "path_block_redraw_rate",
     "log_evidence": "log_evidence",
     "effective_size": "particle_ess",
     "changed": "path_update_rate",

@@ -43,8 +43,8 @@ def _moments(theta, exact):
 @pytest.mark.slow
 def test_ensemble_and_particle_gibbs_have_the_exact_posterior(bound, exact):
     """Twelve walkers, four chains; against the grid and against each other."""
-    ensemble = run_ensemble(bound, particles=60, n_walkers=12, draws=2000, burn_in=200, seed=1, trajectories=1)
-    plan = Plan(burn_in_particles=100, data_rate=5, draws=1500, sweeps_per_draw=1, particles=15, trajectories=1)
+    ensemble = run_ensemble(bound, particles=60, n_walkers=12, draws=1200, burn_in=200, seed=1, trajectories=1)
+    plan = Plan(burn_in_particles=100, data_rate=5, draws=1000, sweeps_per_draw=1, particles=15, trajectories=1)
     gibbs = run_particle_gibbs(bound, plan, 4, seed=2)
     found = [_moments(chains.theta, exact) for chains in (ensemble, gibbs)]
     for mean, error in found:

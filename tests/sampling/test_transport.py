@@ -66,7 +66,7 @@ def test_a_linear_model_is_moved_from_one_smoother_to_another(rail, rng):
     values = []
     for _ in range(5):
         path = rng.multivariate_normal(mean, covariance)[:, None]
-        moved = carry(path, transport.references[0], *now[1:], *then[1:])
+        moved = carry(tables.motion, path, transport.references[0], *now[1:], *then[1:])
         ratio = log_joint(new_tables, moved) - then[0] - log_joint(tables, path) + now[0]
         values.append(ratio)
     exact = kalman.log_evidence(kalman.linear_model(new_tables), *new)
@@ -80,22 +80,24 @@ def test_the_way_back_undoes_the_way_there(which, rail, amigobot, rng):
     reference = transport.references[0]
     path = reference + 0.05 * rng.standard_normal(reference.shape)
     theta = bound.prior_mean()
+    motion = bound.tables(theta)[0].motion  # only its type counts
     for scale in (0.3, 0.9, 3.0):
         now, then = _factors(bound, theta, transport), _factors(bound, scale * theta, transport)
-        moved = carry(path, reference, *now[1:], *then[1:])
+        moved = carry(motion, path, reference, *now[1:], *then[1:])
         assert np.abs(moved - path).max() > 1e-4
-        np.testing.assert_allclose(carry(moved, reference, *then[1:], *now[1:]), path, atol=1e-10)
-        np.testing.assert_array_equal(carry(path, reference, *now[1:], *now[1:]).round(12), path.round(12))
+        np.testing.assert_allclose(carry(motion, moved, reference, *then[1:], *now[1:]), path, atol=1e-10)
+        np.testing.assert_array_equal(carry(motion, path, reference, *now[1:], *now[1:]).round(12), path.round(12))
 
 
 def test_jacobian_against_finite_differences(amigobot, rng):
     """Determinant of the full 15 x 15 derivative of the carried path, by numerical differentiation."""
     bound, reference, transport = amigobot
     now, then = _factors(bound, THETA, transport), _factors(bound, np.array([0.08, 0.02, 0.05, 0.15]), transport)
+    motion = bound.tables(THETA)[0].motion
     path, step = reference + 0.03 * rng.standard_normal(reference.shape), 1e-5
 
     def moved(flat):
-        return carry(flat.reshape(reference.shape), reference, *now[1:], *then[1:]).ravel()
+        return carry(motion, flat.reshape(reference.shape), reference, *now[1:], *then[1:]).ravel()
 
     flat = path.ravel()
     columns = [(moved(flat + unit) - moved(flat - unit)) / (2.0 * step) for unit in step * np.eye(flat.size)]
@@ -110,8 +112,9 @@ def test_one_call_does_what_its_parts_do(amigobot, rng):
     new = np.array([0.08, 0.02, 0.05, 0.15])
     now, then = _factors(bound, THETA, transport), _factors(bound, new, transport)
     path = reference + 0.03 * rng.standard_normal(reference.shape)
+    motion = bound.tables(new)[0].motion
     trial = transport_trial(bound.tables(new)[0], transport.geometries[0], reference, path, *now[1:])
-    moved = carry(path, reference, *now[1:], *then[1:])
+    moved = carry(motion, path, reference, *now[1:], *then[1:])
     np.testing.assert_allclose(trial[5], moved, rtol=1e-12)
     assert trial[0] == pytest.approx(log_joint(bound.tables(new)[0], moved), rel=1e-12)
     assert trial[1] == pytest.approx(then[0], rel=1e-12)
