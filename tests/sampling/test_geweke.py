@@ -86,6 +86,7 @@ def _successive(bound, reference, draws, sweep, seed):
 def _off(bound, direct, draws, seeds, sweep=step):
     """By how many standard errors each quantity is off, and how sharp the comparison is."""
     reference = draw_path(bound.tables(THETA)[0], T, np.random.default_rng(0))
+    _successive(bound, reference, 2, sweep, 0)  # compiles here, not in each process
     made = np.array(run_chains(partial(_successive, bound, reference, draws, sweep), seeds))[:, 20:]
     both = np.stack([direct.mean(axis=0), (direct**2).mean(axis=0)])
     found = np.stack([made.mean(axis=(0, 1)), (made**2).mean(axis=(0, 1))])

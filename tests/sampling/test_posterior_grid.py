@@ -77,6 +77,7 @@ def _off(bound, exact, settings, seeds, draws, *, transported=False, step=step):
         proposal = Proposal(1.5 * root, np.log([0.5, 0.45]), root)
         transport = linearised_at(bound, np.array([0.5, 0.4]), [np.full((T, 1), 50.0)], proposal)
     state = first_state(bound, np.array([0.5, 0.4]), np.full((T, 1), 50.0))
+    _chain(bound, settings, transport, state, 2, step, 0)  # compiles here, not in each process
     deviations = _deviations(
         bound, exact, run_chains(partial(_chain, bound, settings, transport, state, draws, step), seeds)
     )
