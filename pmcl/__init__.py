@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pmcl.posterior.calibrate import calibrate
     from pmcl.posterior.diagnostics import verdict
     from pmcl.posterior.files import read_posterior, write_posterior
+    from pmcl.robots.aibo import simulate_aibo
     from pmcl.robots.amigobot import simulate_amigobot
     from pmcl.sampling.move import ParticleGibbsMove
 
@@ -47,6 +48,7 @@ __all__ = [
     "default_model",
     "read_log",
     "read_posterior",
+    "simulate_aibo",
     "simulate_amigobot",
     "verdict",
     "write_posterior",
@@ -63,6 +65,7 @@ _HOMES = {
     "calibrate": "pmcl.posterior.calibrate",
     "default_model": "pmcl.models.robot_model",
     "read_posterior": "pmcl.posterior.files",
+    "simulate_aibo": "pmcl.robots.aibo",
     "simulate_amigobot": "pmcl.robots.amigobot",
     "verdict": "pmcl.posterior.diagnostics",
     "write_posterior": "pmcl.posterior.files",

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from pmcl.cli.options import output_option, parameter_values, seed_option
 
+if TYPE_CHECKING:
+    from pmcl.logs.robot_log import RobotLog
+
 __all__ = ["simulate"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 @click.group()
@@ -16,22 +23,44 @@ def simulate() -> None:
     """Simulate a robot and write its log, with the truth beside."""
 
 
+def _options_of_robots(command: Command) -> Command:
+    """Return the options that all simulated robots share."""
+    options = (
+        output_option("The log to write (NetCDF)."),
+        click.option("--duration", type=float, default=400.0, show_default=True, help="Seconds; one row per second."),
+        seed_option(),
+        click.option(
+            "--theta",
+            metavar="NAME=VALUE",
+            multiple=True,
+            callback=parameter_values,
+            help="True value of a parameter (may be repeated); the others are drawn from their priors.",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 @simulate.command()
-@output_option("The log to write (NetCDF).")
-@click.option("--duration", type=float, default=400.0, show_default=True, help="Seconds; one row per second.")
-@seed_option()
-@click.option(
-    "--theta",
-    metavar="NAME=VALUE",
-    multiple=True,
-    callback=parameter_values,
-    help="True value of a parameter (may be repeated); the others are drawn from their priors.",
-)
+@_options_of_robots
 def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float]) -> None:
     """Simulate the paper's Amigobot: eight sonars in an L-shaped room."""
     from pmcl.robots.amigobot import simulate_amigobot
 
-    log = simulate_amigobot(duration, seed, theta, where="simulate amigobot")
+    _write(simulate_amigobot(duration, seed, theta, where="simulate amigobot"), output)
+
+
+@simulate.command()
+@_options_of_robots
+def aibo(output: Path, duration: float, seed: int, theta: dict[str, float]) -> None:
+    """Simulate the paper's AIBO: a camera that sees coloured landmarks at the corners of a field."""
+    from pmcl.robots.aibo import simulate_aibo
+
+    _write(simulate_aibo(duration, seed, theta, where="simulate aibo"), output)
+
+
+def _write(log: RobotLog, output: Path) -> None:
     log.write(output)
     click.echo(f"{output}: {log.n_steps} samples, {log.n_readings} readings")
     click.echo("truth: " + ", ".join(f"{name} = {value:.4g}" for name, value in (log.true_theta or {}).items()))

@@ -7,13 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.sensors import RangeNoise
 from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.simulate import draw_theta, make_rng, simulate_readings
+from pmcl.robots.simulate import check_run, draw_theta, make_rng, simulate_readings
 
 __all__ = ["AMIGOBOT_BEAMS", "AMIGOBOT_ROOM", "simulate_amigobot"]
 
@@ -81,17 +80,11 @@ def simulate_amigobot(
     ----------
     Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006, section "Amigobot".
     """
-    if not (math.isfinite(duration) and duration >= 2.0 * _PERIOD):
-        raise ModelError(
-            f"{where}: expected a duration of at least {2.0 * _PERIOD:g} s, but got {duration:g} s; give a longer one"
-        )
-    if seed < 0:
-        raise ModelError(f"{where}: expected a seed of at least 0, but got {seed}; choose another")
+    n_steps = check_run(duration, _PERIOD, seed, where)
     rng = make_rng(seed)
     motion, sensor = IncrementNoise(), RangeNoise()
     truth = draw_theta((*motion.parameters, *sensor.parameters), theta, rng)
     start = _START + _START_STD * rng.standard_normal(3)
-    n_steps = int(duration / _PERIOD)
     driver = WaypointDriver(_WAYPOINTS, step=0.15, turn=0.6, reached=0.2)
     path, command = drive(start, driver, [truth[p.name] for p in motion.parameters], n_steps, rng)
 

@@ -12,7 +12,8 @@ from pmcl.models.motion import IncrementNoise
 from pmcl.models.parameters import Parameter
 from pmcl.models.sensors import LandmarkNoise
 from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.simulate import draw_theta, make_rng, simulate_readings
+from pmcl.robots.sightings import draw_sightings
+from pmcl.robots.simulate import draw_theta, make_rng
 
 __all__ = ["simulate_landmark_field"]
 
@@ -103,13 +104,7 @@ def simulate_landmark_field(
         )
 
     used = [name for name, wanted in (("range", ranges), ("bearing", bearings)) if wanted]
-    base = sensor.bind(logged(dict.fromkeys(used, seen)))
-    table = simulate_readings(base.table(np.array([truth[p.name] for p in sensor.parameters])), path, rng)
-    readings = {}
-    for name in used:
-        readings[name] = np.full(seen.shape, np.nan)
-        readings[name][table.time, table.landmark] = getattr(table, name)
-    return logged(readings)
+    return logged(draw_sightings(sensor, logged(dict.fromkeys(used, seen)), truth, path, rng))
 
 
 def _border(count: int) -> np.ndarray:

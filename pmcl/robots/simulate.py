@@ -25,9 +25,39 @@ from pmcl.geometry import wrap
 from pmcl.models.parameters import Parameter, prior_support
 from pmcl.models.tables import IncrementMotion, LandmarkSightings, RangeBeams
 
-__all__ = ["draw_theta", "make_rng", "simulate_path", "simulate_readings"]
+__all__ = ["check_run", "draw_theta", "make_rng", "simulate_path", "simulate_readings"]
 
 Float = NDArray[np.float64]
+
+
+def check_run(duration: float, period: float, seed: int, where: str) -> int:
+    """Return how many rows a simulated log has.
+
+    Parameters
+    ----------
+    duration, period : float
+        Length of the log and time between rows [s].
+    seed : int
+        Seed of the simulation.
+    where : str
+        The caller, for messages.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ModelError
+        When there are fewer than two rows, or the seed is negative.
+    """
+    if not (math.isfinite(duration) and duration >= 2.0 * period):
+        raise ModelError(
+            f"{where}: expected a duration of at least {2.0 * period:g} s, but got {duration:g} s; give a longer one"
+        )
+    if seed < 0:
+        raise ModelError(f"{where}: expected a seed of at least 0, but got {seed}; choose another")
+    return int(duration / period)
 
 
 def draw_theta(

@@ -27,8 +27,9 @@ def python(code):
 
 def test_version_and_help(run):
     assert run("--version").stdout == f"pmcl {pmcl.__version__}\n"
-    for command in ([], ["simulate"], ["simulate", "amigobot"], ["convert"], ["calibrate"], ["report"], ["demo"]):
-        result = run(*command, "--help")
+    commands = ("", "simulate", "simulate amigobot", "simulate aibo", "convert", "calibrate", "report", "demo")
+    for command in commands:
+        result = run(*command.split(), "--help")
         assert result.exit_code == 0
         assert result.stdout.startswith("Usage: ")
         assert result.stderr == ""
@@ -46,7 +47,7 @@ def test_help_and_import_are_quick_and_load_nothing_heavy():
 
 
 def test_public_names_are_few_and_all_there():
-    assert len(pmcl.__all__) <= 15
+    assert len(pmcl.__all__) <= 20
     assert sorted(pmcl.__all__) == dir(pmcl)
     for name in pmcl.__all__:
         assert getattr(pmcl, name) is not None
@@ -63,6 +64,16 @@ def test_simulate_amigobot(run, tmp_path):
     log = pmcl.read_log(path)
     assert log.fingerprint() == pmcl.simulate_amigobot(40.0, 3, {"sigma_turn": 0.02}).fingerprint()
     assert log.true_theta["sigma_turn"] == 0.02
+
+
+def test_simulate_aibo(run, tmp_path):
+    path = tmp_path / "log.nc"
+    result = run("simulate", "aibo", "-o", path, "--duration", "60", "--seed", "4", "--theta", "sigma_size=0.1")
+    assert result.exit_code == 0, result.output
+    log = pmcl.read_log(path)
+    assert f"{path}: 60 samples, {log.n_readings} readings" in result.stdout
+    assert "sigma_size = 0.1" in result.stdout
+    assert log.fingerprint() == pmcl.simulate_aibo(60.0, 4, {"sigma_size": 0.1}).fingerprint()
 
 
 def test_print_model_gives_the_model_that_is_used(run, log, log_file, tmp_path):
