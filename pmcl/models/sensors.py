@@ -12,7 +12,7 @@ from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import Parameter, gamma_prior
 from pmcl.models.parts import Float, Int, owned
-from pmcl.models.statistics import GaussianSums, RangeResiduals, SightingResiduals
+from pmcl.models.statistics import GaussianSums, RangeResiduals, SightingResiduals, sum_of_squares
 from pmcl.models.tables import LandmarkSightings, RangeBeams
 
 __all__ = ["LandmarkNoise", "RangeNoise", "outlier_prior"]
@@ -97,7 +97,7 @@ class BoundRangeNoise:
         low, high = measured & (z <= 0.0), measured & (z >= table.max_range)
         residual = (z - expected)[measured & ~low & ~high]
         if not self.outliers and not (low.any() or high.any()):
-            squares = float(residual @ residual)
+            squares = sum_of_squares(residual)
             return GaussianSums(index, owned(theta), np.array([float(residual.size)]), np.array([squares]))
         tail = np.concatenate([expected[low], (table.max_range - expected)[high]])
         if not self.outliers:
@@ -257,7 +257,7 @@ class BoundLandmarkNoise:
             columns.append(table.size[:n] * distance**2 / table.size_constant[which] - 1.0)
         if not self.outliers:
             known = [column[column == column] for column in columns]  # NaN differs from itself
-            count, squares = [float(column.size) for column in known], [float(column @ column) for column in known]
+            count, squares = [float(column.size) for column in known], [sum_of_squares(column) for column in known]
             return GaussianSums(index, owned(theta), np.array(count), np.array(squares))
         positions = np.flatnonzero([self.range, self.bearing, self.size, True])
         full_index, value, residual = np.full(4, -1, dtype=np.int64), np.ones(4), np.full((n, 3), np.nan)
