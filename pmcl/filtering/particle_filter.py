@@ -63,7 +63,8 @@ class FilterPass:
         return np.array([self.particles[t] @ self.weights(t) for t in range(self.particles.shape[0])])
 
 
-def _raise(status: int, t: int, what: str) -> None:
+def raise_outcome(status: int, t: int, what: str) -> None:
+    """Raise the FilterError that the outcome of a compiled pass stands for, if it stands for one."""
     if status == smc.ALL_ZERO:
         raise FilterError(
             f"{what}: at row {t} every particle has weight zero, so the filter has lost the robot; "
@@ -122,7 +123,7 @@ def run_filter(
     status, t, log_evidence, particles, log_weights, steps = smc.filter_pass(
         tables, rng, n_steps, n_particles, SCHEMES[scheme], float(threshold)
     )
-    _raise(status, t, "particle filter")
+    raise_outcome(status, t, "particle filter")
     return FilterPass(log_evidence, particles, log_weights, steps[:, 0], steps[:, 1])
 
 
@@ -141,7 +142,7 @@ def draw_paths(tables: Tables, filtered: FilterPass, n_paths: int, rng: np.rando
         When no particle can be the ancestor of a drawn state. Cost: O(T n) for each path.
     """
     status, t, paths = smc.sample_backward(tables, rng, filtered.particles, filtered.log_weights, n_paths)
-    _raise(status, t, "backward sampling")
+    raise_outcome(status, t, "backward sampling")
     return np.asarray(paths)
 
 
@@ -197,7 +198,7 @@ def sweep_path(
     )
     if status == smc.ALL_ZERO:
         return SweepInfo(-math.inf, 0.0, 0.0, False)
-    _raise(status, t, f"{kernel} sweep")
+    raise_outcome(status, t, f"{kernel} sweep")
     return SweepInfo(log_evidence, effective / n_particles, changed / n_steps, True)
 
 

@@ -116,6 +116,21 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
         logp[i] += constant - 0.5 * r * r
 
 
+# Optional: with a distribution function, criticism can ask how well each reading was foreseen.
+
+
+@contract.one_reading.register(PositionReadings, allocates=False)
+def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    if math.isnan(sensor.reading[t]):
+        return False
+    for i in range(logp.size):
+        r = (sensor.reading[t] - current[0, i]) / sensor.std
+        logp[i] = -math.log(sensor.std) - _HALF_LOG_2PI - 0.5 * r * r
+        low[i] = 0.5 * math.erfc(-r * math.sqrt(0.5))
+        high[i] = low[i]
+    return True
+
+
 # Optional: the Gaussian transport move needs motion and readings linearised around a reference. With d = x - reference,
 # d[t] = jacobian d[t-1] + offset + noise; and a reading adds its precision, and precision times residual.
 

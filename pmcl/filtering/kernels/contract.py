@@ -8,6 +8,8 @@ compile, registered with ``@propagate.register(MyTable)``. All of them must cope
 
 from __future__ import annotations
 
+import numpy as np
+
 from pmcl.filtering.kernels.compile import generic
 
 __all__ = [
@@ -18,10 +20,13 @@ __all__ = [
     "linearise_start",
     "linearise_transition",
     "looks_back",
+    "one_reading",
     "path_reading_logpdf",
     "path_transition_logpdf",
     "propagate",
+    "reading_count",
     "reading_logpdf",
+    "reading_slots",
     "scratch_rows",
     "start_logpdf",
     "state_of_deviation",
@@ -121,6 +126,54 @@ def path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
     Optional: by default each row is evaluated by itself. `scratch` has T columns here.
     """
+
+
+@generic
+def reading_count(sensor, n_steps):
+    """Return how many single readings (slots) the sensor has over `n_steps` rows, measured or not.
+
+    Optional, with the next two: by default all that a sensor reads at a row is one slot, and no distribution function
+    is known.
+    """
+
+
+@generic
+def reading_slots(sensor, t):
+    """Return (first, stop): the slots of row t, numbered on from those of the row before."""
+
+
+@generic
+def one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    """Write what each state says about one single reading, given the earlier readings of the same row.
+
+    `logp` (n,) receives the log density, so that over all slots of a row it adds up to that of :func:`reading_logpdf`;
+    `low` and `high` (n,) the probabilities of a smaller, and of a smaller or equal reading (they differ where the
+    reading has a probability of its own, as a clipped one does; NaN when the distribution function is not known).
+    `memory` (3, n) is kept from slot to slot of one row; every slot is asked for, in order. Returns whether the
+    slot was measured.
+    """
+
+
+@reading_count.register(object, allocates=False)
+def _one_slot_per_row(sensor, n_steps):
+    return n_steps
+
+
+@reading_slots.register(object, allocates=False)
+def _slot_of_row(sensor, t):
+    return t, t + 1
+
+
+@one_reading.register(object, allocates=False)
+def _whole_row(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    if not has_reading(sensor, t):
+        return False
+    for i in range(logp.size):
+        logp[i] = 0.0
+        low[i] = np.nan
+        high[i] = np.nan
+    reading_logpdf(sensor, t, previous, current, logp, scratch)
+    return True
 
 
 @path_transition_logpdf.register(object, allocates=False)

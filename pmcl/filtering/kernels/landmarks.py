@@ -11,8 +11,11 @@ from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
     looks_back,
+    one_reading,
     path_reading_logpdf,
+    reading_count,
     reading_logpdf,
+    reading_slots,
     scratch_rows,
 )
 from pmcl.filtering.kernels.geometry import BEARING, RANGE, add_information
@@ -114,6 +117,61 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             log_into(angle, work)
             for i in range(n):
                 logp[i] += work[i]
+
+
+@reading_count.register(LandmarkSightings, allocates=False)
+def _reading_count(sensor, n_steps):
+    return 3 * sensor.first[n_steps]
+
+
+@reading_slots.register(LandmarkSightings, allocates=False)
+def _reading_slots(sensor, t):
+    return 3 * sensor.first[t], 3 * sensor.first[t + 1]
+
+
+@one_reading.register(LandmarkSightings, allocates=False)
+def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    k, kind = slot // 3, slot % 3
+    j, n = sensor.landmark[k], logp.size
+    # All readings of a sighting share one coin: how likely it is a gross error, given those before.
+    gross = memory[0]
+    if kind == RANGE:
+        for i in range(n):
+            gross[i] = sensor.outlier_weight[j]
+    z = sensor.range[k] if kind == RANGE else (sensor.bearing[k] if kind == BEARING else sensor.size[k])
+    if math.isnan(z):
+        return False
+    sine, cosine = scratch[0], scratch[1]
+    sincos_into(current[2], sine, cosine)
+    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    for i in range(n):
+        dx, dy = sensor.position[j, 0] - current[0, i], sensor.position[j, 1] - current[1, i]
+        ahead, aside = dx * cosine[i] + dy * sine[i] - mount_x, dy * cosine[i] - dx * sine[i] - mount_y
+        # Residual and reading as standard deviations and as a share of what a gross error may read.
+        if kind == RANGE:
+            std, share, outlier = sensor.range_std[j], z / sensor.max_range, 1.0 / sensor.max_range
+            expected = sensor.range_scale[j] * math.sqrt(ahead * ahead + aside * aside) + sensor.range_bias[j]
+            residual = z - expected
+        elif kind == BEARING:
+            std, outlier = sensor.bearing_std[j], 0.5 / math.pi
+            residual = z - sensor.bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)
+            residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
+            share = 0.5 + residual * outlier
+        else:
+            ideal = sensor.size_constant[j] / (ahead * ahead + aside * aside)
+            std, outlier = sensor.size_std[j] * ideal, 1.0 / sensor.size_constant[j]
+            residual, share = z - ideal, z * outlier
+        r = residual / std
+        low[i] = 0.5 * math.erfc(-r * math.sqrt(0.5))
+        logp[i] = -0.5 * r * r - math.log(std) - _HALF_LOG_2PI
+        if gross[i] > 0.0:
+            low[i] = (1.0 - gross[i]) * low[i] + gross[i] * min(max(share, 0.0), 1.0)
+            wild = gross[i] * outlier
+            density = (1.0 - gross[i]) * math.exp(logp[i]) + wild
+            logp[i] = math.log(density)
+            gross[i] = wild / density
+        high[i] = low[i]
+    return True
 
 
 @path_reading_logpdf.register(LandmarkSightings, allocates=False)

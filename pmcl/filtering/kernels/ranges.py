@@ -11,8 +11,11 @@ from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
     looks_back,
+    one_reading,
     path_reading_logpdf,
+    reading_count,
     reading_logpdf,
+    reading_slots,
     scratch_rows,
 )
 from pmcl.filtering.kernels.geometry import add_information
@@ -127,6 +130,47 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             z, best, sensor.bias[beam], sensor.scale[beam], sensor.std[beam],
             sensor.outlier_weight[beam], sensor.max_range, logp, work, scratch[0],
         )  # fmt: skip
+
+
+@reading_count.register(RangeBeams, allocates=False)
+def _reading_count(sensor, n_steps):
+    return n_steps * sensor.reading.shape[1]
+
+
+@reading_slots.register(RangeBeams, allocates=False)
+def _reading_slots(sensor, t):
+    return t * sensor.reading.shape[1], (t + 1) * sensor.reading.shape[1]
+
+
+@one_reading.register(RangeBeams, allocates=False)
+def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    beam = slot - t * sensor.reading.shape[1]
+    sine, cosine = memory[0], memory[1]
+    if beam == 0:
+        sincos_into(current[2], sine, cosine)
+    z = sensor.reading[t, beam]
+    if math.isnan(z):
+        return False
+    cast_one_beam(sensor, beam, current, sine, cosine, True, scratch)
+    best, work = scratch[2], scratch[7]
+    bias, scale, std = sensor.bias[beam], sensor.scale[beam], sensor.std[beam]
+    share, max_range = sensor.outlier_weight[beam], sensor.max_range
+    for i in range(logp.size):
+        logp[i] = 0.0
+    beam_logpdf(z, best, bias, scale, std, share, max_range, logp, work, scratch[0])
+    shrink, far = math.sqrt(0.5) / std, _FAR * max_range
+    for i in range(logp.size):
+        expected = min(scale / best[i] + bias, far)
+        if z <= 0.0:
+            low[i] = 0.0
+            high[i] = (1.0 - share) * 0.5 * math.erfc(expected * shrink)
+        elif z >= max_range:
+            low[i] = share + (1.0 - share) * 0.5 * math.erfc((expected - max_range) * shrink)
+            high[i] = 1.0
+        else:
+            low[i] = share * z / max_range + (1.0 - share) * 0.5 * math.erfc((expected - z) * shrink)
+            high[i] = low[i]
+    return True
 
 
 @path_reading_logpdf.register(RangeBeams, allocates=False)

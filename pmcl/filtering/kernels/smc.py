@@ -10,10 +10,14 @@ import math
 
 import numpy as np
 
-from pmcl.filtering.kernels import landmarks, motion, ranges, start  # noqa: F401  (they register themselves)
+import pmcl.filtering.kernels.landmarks
+import pmcl.filtering.kernels.motion
+import pmcl.filtering.kernels.ranges
+import pmcl.filtering.kernels.start  # noqa: F401  (they register themselves)
 from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import (
     draw_start,
+    path_reading_logpdf,
     path_transition_logpdf,
     propagate,
     scratch_rows,
@@ -22,8 +26,25 @@ from pmcl.filtering.kernels.contract import (
     transition_logpdf,
 )
 from pmcl.filtering.kernels.resampling import MULTINOMIAL, draw_index, multinomial_into, resample
-from pmcl.filtering.kernels.tuples import any_look_back, any_reading, most_rows, sum_logpdf, sum_path_logpdf
-from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
+from pmcl.filtering.kernels.tuples import (
+    any_look_back,
+    any_reading,
+    count_slots,
+    most_rows,
+    sum_logpdf,
+    sum_path_logpdf,
+)
+from pmcl.filtering.kernels.vector_math import total
+from pmcl.filtering.kernels.weighing import (
+    ALL_ZERO,
+    FINE,
+    NO_ANCESTOR,
+    NOT_A_NUMBER,
+    AllAtOnce,
+    OneByOne,
+    normalise,
+    weigh,
+)
 
 __all__ = [
     "ALL_ZERO",
@@ -33,32 +54,19 @@ __all__ = [
     "filter_pass",
     "joint",
     "joint_terms",
+    "motion_terms",
+    "predictive_pass",
     "sample_backward",
+    "sensor_terms",
     "sweep",
     "work_rows",
 ]
-
-# Outcomes of a pass. They are numbers because compiled loops cannot raise with details.
-FINE, ALL_ZERO, NOT_A_NUMBER, NO_ANCESTOR = 0, 1, 2, 3
-
 
 @kernel
 def work_rows(tables):
     """Return how many rows of scratch space a pass over these tables needs."""
     rows = max(scratch_rows(tables.motion), scratch_rows(tables.start))
     return max(rows, most_rows(tables.sensors)) + 3
-
-
-@kernel
-def normalise(log_weights, weights):
-    """Write exp(log_weights - max) into `weights`; return (status, max, sum). `log_weights` stay as they are."""
-    if not total(log_weights) < np.inf:
-        return NOT_A_NUMBER, 0.0, 0.0
-    greatest = maximum(log_weights)
-    if greatest == -np.inf:
-        return ALL_ZERO, greatest, 0.0
-    exp_into(log_weights, greatest, weights)
-    return FINE, greatest, total(weights)
 
 
 @kernel(reorder=True)
@@ -78,6 +86,7 @@ def _forward(
     threshold,
     conditional,
     path,
+    record,
     particles,
     log_weights,
     steps,
@@ -91,7 +100,8 @@ def _forward(
     Andrieu, Doucet, Holenstein 2010). Weights are reset by resampling only where something was measured since the
     last time: whether it was does not depend on the particles, so this keeps the conditional kernel exact.
 
-    `steps` (T, 2) receives the log of each step's evidence increment and the effective sample size.
+    `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `steps` (T, 2) receives the log
+    of each step's evidence increment and the effective sample size.
     Returns (status, time, log evidence).
     """
     size, n = particles.shape[1], particles.shape[2]
@@ -130,7 +140,7 @@ def _forward(
                 current[d, 0] = path[t, d]
         steps[t, 0] = 0.0
         if any_reading(tables.sensors, t):
-            sum_logpdf(tables.sensors, t, before, current, logw, work)
+            weigh(record, tables.sensors, t, before, current, logw, weights, work)
             status, greatest, weight_sum = normalise(logw, weights)
             if status != FINE:
                 return status, t, -np.inf
@@ -188,10 +198,31 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
     steps = np.empty((n_steps, 2))
     status, t, log_evidence = _forward(
-        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), particles, log_weights, steps,
+        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0),
+        particles, log_weights, steps,
         np.empty(n, np.int64), np.empty((size, n)), np.empty((work_rows(tables), n)),
     )  # fmt: skip
     return status, t, log_evidence, particles, log_weights, steps
+
+
+@entry
+def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
+    """Filter, taking the readings of a row one after another.
+
+    Returns what :func:`filter_pass` does, then log score, low and high (N,) of each slot (see
+    :class:`~pmcl.filtering.kernels.weighing.OneByOne`); NaN where nothing was measured.
+    """
+    size = state_size(tables.motion)
+    particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
+    steps = np.empty((n_steps, 2))
+    slots = count_slots(tables.sensors, n_steps)
+    log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
+    status, t, log_evidence = _forward(
+        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)),
+        OneByOne(n_steps, log_score, low, high, np.empty((6, n))), particles, log_weights, steps,
+        np.empty(n, np.int64), np.empty((size, n)), np.empty((work_rows(tables), n)),
+    )  # fmt: skip
+    return status, t, log_evidence, particles, log_weights, steps, log_score, low, high
 
 
 @entry
@@ -220,7 +251,7 @@ def sweep(tables, rng, n_steps, n, conditional, path):
     steps, previous = np.empty((n_steps, 2)), np.empty((size, n))
     scratch = np.empty((work_rows(tables), n))
     status, t, log_evidence = _forward(
-        tables, rng, n_steps, MULTINOMIAL, 1.0, conditional, path, particles, log_weights, steps,
+        tables, rng, n_steps, MULTINOMIAL, 1.0, conditional, path, AllAtOnce(0.0), particles, log_weights, steps,
         np.empty(n, np.int64), previous, scratch,
     )  # fmt: skip
     if status != FINE:
@@ -269,3 +300,30 @@ def joint_terms(tables, path):
             columns[d, t] = path[t, d]
     value = joint(tables, columns, logp, np.empty((work_rows(tables), max(n_steps, size))))
     return value, logp
+
+
+@entry
+def motion_terms(start, motion, columns):
+    """Return the log densities of start and transitions of trajectories `columns` (M, D, T), as (M, T)."""
+    n_paths, size, n_steps = columns.shape
+    logp = np.zeros((n_paths, n_steps))
+    rows = max(scratch_rows(motion), scratch_rows(start)) + 3
+    scratch = np.empty((rows, max(n_steps, size)))
+    for k in range(n_paths):
+        first = scratch[0, :size]
+        for d in range(size):
+            first[d] = columns[k, d, 0]
+        start_logpdf(start, first.reshape(size, 1), logp[k, :1])
+        path_transition_logpdf(motion, n_steps, columns[k], logp[k], scratch)
+    return logp
+
+
+@entry
+def sensor_terms(sensor, columns):
+    """Return the log densities of one sensor's readings along trajectories `columns` (M, D, T), as (M, T)."""
+    n_paths, size, n_steps = columns.shape
+    logp = np.zeros((n_paths, n_steps))
+    scratch = np.empty((scratch_rows(sensor) + 3, max(n_steps, size)))
+    for k in range(n_paths):
+        path_reading_logpdf(sensor, n_steps, columns[k], logp[k], scratch)
+    return logp

@@ -10,11 +10,20 @@ from pmcl.filtering.kernels.contract import (
     linear_information,
     looks_back,
     path_reading_logpdf,
+    reading_count,
     reading_logpdf,
     scratch_rows,
 )
 
-__all__ = ["any_look_back", "any_reading", "most_rows", "sum_information", "sum_logpdf", "sum_path_logpdf"]
+__all__ = [
+    "any_look_back",
+    "any_reading",
+    "count_slots",
+    "most_rows",
+    "sum_information",
+    "sum_logpdf",
+    "sum_path_logpdf",
+]
 
 
 def any_reading(sensors, t):
@@ -30,6 +39,11 @@ def any_look_back(sensors):
 def most_rows(sensors):
     """Return the greatest number of scratch rows that any sensor needs."""
     return max((scratch_rows(sensor) for sensor in sensors), default=0)
+
+
+def count_slots(sensors, n_steps):
+    """Return how many single readings all sensors have over `n_steps` rows, measured or not."""
+    return sum(reading_count(sensor, n_steps) for sensor in sensors)
 
 
 def sum_logpdf(sensors, t, previous, current, logp, scratch):
@@ -73,6 +87,13 @@ def _most_rows(sensors):
     if _is_empty(sensors):
         return lambda sensors: 0
     return lambda sensors: max(scratch_rows(sensors[0]), most_rows(sensors[1:]))
+
+
+@overload_for_types(count_slots)
+def _count_slots(sensors, n_steps):
+    if _is_empty(sensors):
+        return lambda sensors, n_steps: 0
+    return lambda sensors, n_steps: reading_count(sensors[0], n_steps) + count_slots(sensors[1:], n_steps)
 
 
 @overload_for_types(sum_logpdf)

@@ -1,0 +1,129 @@
+"""Weighing particles by readings: all at once, or one reading after another with a record of how each was foreseen.
+
+The second way is what criticism looks at. Between two readings the particles are reweighted, so each reading is
+compared with what was to be expected of it given everything before it, the readings of the same row included. When
+the model is right, the resulting probability integral transforms are independent uniforms across channels and time
+(Rosenblatt 1952); those from one common prior per row would share the error of the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from pmcl.filtering.kernels.compile import generic, kernel, overload_for_types
+from pmcl.filtering.kernels.contract import one_reading, reading_count, reading_slots
+from pmcl.filtering.kernels.tuples import sum_logpdf
+from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
+
+__all__ = ["ALL_ZERO", "FINE", "NOT_A_NUMBER", "NO_ANCESTOR", "AllAtOnce", "OneByOne", "normalise", "weigh"]
+
+Float = NDArray[np.float64]
+
+# Outcomes of a pass. They are numbers because compiled loops cannot raise with details.
+FINE, ALL_ZERO, NOT_A_NUMBER, NO_ANCESTOR = 0, 1, 2, 3
+
+
+class AllAtOnce(NamedTuple):
+    """Nothing is recorded (numba wants at least one field)."""
+
+    nothing: float
+
+
+class OneByOne(NamedTuple):
+    """Where the record of single readings goes.
+
+    Attributes
+    ----------
+    n_steps : int
+        Rows T.
+    log_score, low, high : ndarray, shape (N,)
+        For each slot of all sensors: log predictive density of the reading, and the predictive probabilities of a
+        smaller and of a smaller or equal one. Slots that were not measured are left as they are.
+    draft : ndarray, shape (6, n)
+        Work space.
+    """
+
+    n_steps: int
+    log_score: Float
+    low: Float
+    high: Float
+    draft: Float
+
+
+@kernel
+def normalise(log_weights, weights):
+    """Write exp(log_weights - max) into `weights`; return (status, max, sum). `log_weights` stay as they are."""
+    if not total(log_weights) < np.inf:
+        return NOT_A_NUMBER, 0.0, 0.0
+    greatest = maximum(log_weights)
+    if greatest == -np.inf:
+        return ALL_ZERO, greatest, 0.0
+    exp_into(log_weights, greatest, weights)
+    return FINE, greatest, total(weights)
+
+
+@kernel(reorder=True)
+def _inner(x, y):
+    value = 0.0
+    for i in range(x.size):
+        value += x[i] * y[i]
+    return value
+
+
+@generic
+def weigh(record, sensors, t, previous, current, log_weights, weights, scratch):
+    """Add the log densities of all readings at t to `log_weights` (n,); `weights` (n,) is work space."""
+
+
+@weigh.register(AllAtOnce, allocates=False)
+def _all_at_once(record, sensors, t, previous, current, log_weights, weights, scratch):
+    sum_logpdf(sensors, t, previous, current, log_weights, scratch)
+
+
+@weigh.register(OneByOne, allocates=False)
+def _one_by_one(record, sensors, t, previous, current, log_weights, weights, scratch):
+    _sensor_by_sensor(sensors, 0, record, t, previous, current, log_weights, weights, scratch)
+
+
+def _sensor_by_sensor(sensors, offset, record, t, previous, current, log_weights, weights, scratch):
+    for sensor in sensors:
+        _slot_by_slot(sensor, offset, record, t, previous, current, log_weights, weights, scratch)
+        offset += reading_count(sensor, record.n_steps)
+
+
+@overload_for_types(_sensor_by_sensor)
+def _compiled_sensor_by_sensor(sensors, offset, record, t, previous, current, log_weights, weights, scratch):
+    if isinstance(sensors, types.BaseTuple) and len(sensors) == 0:
+        return lambda sensors, offset, record, t, previous, current, log_weights, weights, scratch: None
+
+    def run(sensors, offset, record, t, previous, current, log_weights, weights, scratch):
+        _slot_by_slot(sensors[0], offset, record, t, previous, current, log_weights, weights, scratch)
+        after = offset + reading_count(sensors[0], record.n_steps)
+        _sensor_by_sensor(sensors[1:], after, record, t, previous, current, log_weights, weights, scratch)
+
+    return run
+
+
+@kernel
+def _slot_by_slot(sensor, offset, record, t, previous, current, log_weights, weights, scratch):
+    draft = record.draft
+    logp, low, high, memory = draft[0], draft[1], draft[2], draft[3:6]
+    status, greatest, weight_sum = normalise(log_weights, weights)
+    first, stop = reading_slots(sensor, t)
+    for slot in range(first, stop):
+        if not one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+            continue
+        if status == FINE:
+            record.low[offset + slot] = _inner(weights, low) / weight_sum
+            record.high[offset + slot] = _inner(weights, high) / weight_sum
+            before = greatest + math.log(weight_sum)
+        for i in range(logp.size):
+            log_weights[i] += logp[i]
+        if status == FINE:
+            status, greatest, weight_sum = normalise(log_weights, weights)
+            record.log_score[offset + slot] = greatest + math.log(weight_sum) - before if status == FINE else -np.inf

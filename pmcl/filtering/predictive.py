@@ -1,0 +1,160 @@
+"""How well a filter foresees each single reading: one pass, and for every reading its score and its PIT."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import singledispatch
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.filtering.kernels import smc
+from pmcl.filtering.kernels.resampling import SCHEMES
+from pmcl.filtering.particle_filter import FilterPass, check_particles, raise_outcome
+from pmcl.models.tables import LandmarkSightings, RangeBeams, Tables
+
+__all__ = ["Predictions", "ReadingIndex", "predict_readings", "reading_index"]
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+
+class ReadingIndex(NamedTuple):
+    """What each slot of a sensor is.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Names of the variables in a log that hold the readings, e.g. ``("range",)``.
+    kind, channel, time : ndarray of int, shape (N,)
+        Position in `kinds`; beam or landmark; row.
+    reading : ndarray, shape (N,)
+        The reading in its own unit, NaN where nothing was measured.
+    """
+
+    kinds: tuple[str, ...]
+    kind: Int
+    channel: Int
+    time: Int
+    reading: Float
+
+
+@singledispatch
+def reading_index(table: Any, n_steps: int) -> ReadingIndex:
+    """Return what each slot of a sensor table is, in the order of its kernel ``reading_slots``.
+
+    A table type that registers nothing has one slot per row, named after the type.
+    """
+    rows = np.arange(n_steps, dtype=np.int64)
+    nothing = np.zeros(n_steps, dtype=np.int64)
+    return ReadingIndex((type(table).__name__,), nothing, nothing, rows, np.full(n_steps, np.nan))
+
+
+@reading_index.register
+def _(table: RangeBeams, n_steps: int) -> ReadingIndex:
+    n_beams = table.reading.shape[1]
+    time, beam = np.divmod(np.arange(n_steps * n_beams, dtype=np.int64), n_beams)
+    return ReadingIndex(("range",), np.zeros_like(beam), beam, time, table.reading[:n_steps].ravel())
+
+
+@reading_index.register
+def _(table: LandmarkSightings, n_steps: int) -> ReadingIndex:
+    n = int(table.first[n_steps])
+    sighting, kind = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
+    reading = np.stack([table.range[:n], table.bearing[:n], table.size[:n]], axis=-1).ravel()
+    kinds = ("landmark_range", "landmark_bearing", "landmark_size")
+    return ReadingIndex(kinds, kind, table.landmark[sighting], table.time[sighting], reading)
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """What a filter foresaw of every single reading that was measured, N of them, in the order it took them.
+
+    Attributes
+    ----------
+    filtered : FilterPass
+        The pass itself.
+    sensor, kind, channel, time : ndarray of int, shape (N,)
+        Sensor in the model; position in `kinds`; beam or landmark; row.
+    kinds : tuple of str
+        Names of the kinds of readings, as in a log.
+    reading : ndarray, shape (N,)
+        The readings.
+    log_score : ndarray, shape (N,)
+        Log predictive density of each reading given all before it; they sum to the log evidence [nat].
+    low, high : ndarray, shape (N,)
+        Predictive probability of a smaller, and of a smaller or equal reading; NaN for a sensor whose table registers
+        no distribution function.
+    """
+
+    filtered: FilterPass
+    sensor: Int
+    kind: Int
+    channel: Int
+    time: Int
+    kinds: tuple[str, ...]
+    reading: Float
+    log_score: Float
+    low: Float
+    high: Float
+
+    def pit(self, rng: np.random.Generator) -> Float:
+        """Return probability integral transforms, (N,): uniform and independent when the model is right.
+
+        Where a reading has a probability of its own, a clipped one for instance, the value is drawn between `low` and
+        `high`; it always lies strictly inside (0, 1).
+        """
+        drawn = self.low + (self.high - self.low) * rng.random(self.low.size)
+        tiny = np.finfo(float).tiny
+        return np.asarray(np.clip(drawn, tiny, 1.0 - np.finfo(float).epsneg))
+
+
+def predict_readings(
+    tables: Tables,
+    n_steps: int,
+    n_particles: int,
+    rng: np.random.Generator,
+    *,
+    scheme: str = "multinomial",
+    threshold: float = 1.0,
+) -> Predictions:
+    """Run a bootstrap particle filter that takes the readings of a row one after another.
+
+    Parameters
+    ----------
+    tables, n_steps, n_particles, rng, scheme, threshold
+        As for :func:`pmcl.filtering.particle_filter.run_filter`; the evidence estimate has the same distribution.
+
+    Returns
+    -------
+    Predictions
+        Cost: about three times that of a plain pass.
+
+    Raises
+    ------
+    FilterError
+        When every particle gets weight zero, a density is not a number, or n < 2.
+    """
+    check_particles(n_particles)
+    status, t, evidence, particles, log_weights, steps, score, low, high = smc.predictive_pass(
+        tables, rng, n_steps, n_particles, SCHEMES[scheme], float(threshold)
+    )
+    raise_outcome(status, t, "particle filter")
+    filtered = FilterPass(evidence, particles, log_weights, steps[:, 0], steps[:, 1])
+    indices = [reading_index(sensor, n_steps) for sensor in tables.sensors]
+    kinds = tuple(name for index in indices for name in index.kinds)
+    before = np.cumsum([0, *(len(index.kinds) for index in indices)])
+    seen = np.flatnonzero(~np.isnan(score))
+    columns = [
+        np.concatenate([np.full(index.time.size, number) for number, index in enumerate(indices)]),
+        np.concatenate([index.kind + shift for index, shift in zip(indices, before[:-1], strict=True)]),
+        np.concatenate([index.channel for index in indices]),
+        np.concatenate([index.time for index in indices]),
+    ]
+    reading = np.concatenate([index.reading for index in indices])
+    order = seen[np.argsort(columns[3][seen], kind="stable")]
+    sensor, kind, channel, time = (np.asarray(column[order], dtype=np.int64) for column in columns)
+    return Predictions(
+        filtered, sensor, kind, channel, time, kinds, reading[order], score[order], low[order], high[order]
+    )

@@ -1,0 +1,199 @@
+"""Readings one after another: densities that add up, distribution functions, and PITs that are uniform."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from oracles import kalman, made_tables
+from oracles.random_walk_model import rail_log, rail_model
+from scipy import integrate, stats
+
+from pmcl.filtering.kernels import contract, smc
+from pmcl.filtering.kernels.compile import entry
+from pmcl.filtering.particle_filter import log_joint, make_rng, run_filter
+from pmcl.filtering.predictive import predict_readings
+from pmcl.models.robot_model import default_model
+from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.robots.landmark_field import simulate_landmark_field
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+@entry
+def compiled_one(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    return contract.one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch)
+
+
+def _slots(sensor, t, states, compiled):
+    """Log densities, low and high (slots, n) of all measured slots of a row."""
+    current = np.ascontiguousarray(states.T)
+    n = current.shape[1]
+    scratch, memory = np.full((contract.scratch_rows(sensor) + 3, n), np.nan), np.full((3, n), np.nan)
+    found = []
+    for slot in range(*contract.reading_slots(sensor, t)):
+        out = np.full((3, n), np.nan)
+        function = compiled_one if compiled else contract.one_reading
+        if function(sensor, t, slot, current, current, out[0], out[1], out[2], memory, scratch):
+            found.append(out)
+    return np.array(found).reshape(-1, 3, n)
+
+
+@pytest.fixture(params=["beams", "sightings"])
+def sensor(request, rng):
+    poses = made_tables.poses_in_room(rng, 7)
+    if request.param == "beams":
+        return made_tables.range_beams(poses, rng)
+    return made_tables.sightings(7, rng)
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
+def test_slots_of_a_row_add_up_to_its_density(sensor, compiled, rng):
+    states = made_tables.poses_in_room(rng, 9)
+    current = np.ascontiguousarray(states.T)
+    rows = 0
+    for t in range(6):
+        slots = _slots(sensor, t, states, compiled)
+        expected = np.zeros(9)
+        scratch = np.full((contract.scratch_rows(sensor) + 3, 9), np.nan)
+        contract.reading_logpdf(sensor, t, current, current, expected, scratch)
+        np.testing.assert_allclose(slots[:, 0].sum(axis=0), expected, rtol=1e-9, atol=1e-9)
+        rows += len(slots) > 0
+    assert rows >= 4
+
+
+def _with(sensor, t, slot, value):
+    """The sensor with another reading in one slot."""
+    if hasattr(sensor, "beam_pose"):
+        reading = sensor.reading.copy()
+        reading[t, slot - t * reading.shape[1]] = value
+        return sensor._replace(reading=reading)
+    name = ("range", "bearing", "size")[slot % 3]
+    values = getattr(sensor, name).copy()
+    values[slot // 3] = value
+    return sensor._replace(**{name: values})
+
+
+def test_distribution_functions_are_integrals_of_the_densities(sensor, rng):
+    states = made_tables.poses_in_room(rng, 4)
+    current = np.ascontiguousarray(states.T)
+    checked = 0
+    for t in (0, 4):
+        first, stop = contract.reading_slots(sensor, t)
+        for slot in range(first, stop):
+
+            def at(value, t=t, slot=slot):
+                changed = _with(sensor, t, slot, value)
+                scratch = np.full((contract.scratch_rows(sensor) + 3, 4), np.nan)
+                memory, out = np.full((3, 4), np.nan), np.full((3, 4), np.nan)
+                for earlier in range(contract.reading_slots(sensor, t)[0], slot + 1):
+                    seen = contract.one_reading(
+                        changed, t, earlier, current, current, out[0], out[1], out[2], memory, scratch
+                    )
+                assert seen
+                return out
+
+            if hasattr(sensor, "beam_pose"):
+                low, high = 0.4, 2.1
+            else:
+                low, high = ((0.7, 2.9), (-0.4, 0.4), (2.0, 9.0))[slot % 3]
+            grid = np.linspace(low, high, 4001)
+            density = np.exp([at(z)[0] for z in grid])
+            mass = integrate.trapezoid(density, grid, axis=0)
+            begin, end = at(low), at(high)
+            # A bearing is measured from the opposite of each state's own expectation: compare where none wraps.
+            plain = end[1] > begin[1]
+            np.testing.assert_allclose((end[1] - begin[1])[plain], mass[plain], atol=2e-5)
+            np.testing.assert_allclose(end[1], end[2])
+            checked += int(plain.sum())
+    assert checked >= 20
+
+
+def test_clipped_readings_have_a_probability_of_their_own(rng):
+    beams = made_tables.range_beams(made_tables.poses_in_room(rng, 7), rng)
+    states = made_tables.poses_in_room(rng, 5)
+    slots = _slots(beams, 1, states, True)
+    # Row 1 begins with a reading of 0, one of the greatest range, and one without echo.
+    np.testing.assert_array_equal(slots[0, 1], 0.0)
+    np.testing.assert_array_equal(slots[1:3, 2], 1.0)
+    np.testing.assert_allclose(np.log((slots[:3, 2] - slots[:3, 1])[[0, 2]]), slots[[0, 2], 0], rtol=1e-9)
+    # An outlier lies strictly inside, below the greatest range.
+    weight = beams.outlier_weight[1]
+    np.testing.assert_allclose((1.0 - slots[1, 1]), np.exp(slots[1, 0]), rtol=1e-9)
+    assert weight > 0.0
+
+
+@pytest.mark.parametrize("kind", ["walls", "landmarks"])
+def test_one_by_one_is_the_same_filter(kind):
+    log = simulate_amigobot(40.0, 1) if kind == "walls" else simulate_landmark_field(60, 1, bearings=True)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    plain = run_filter(tables, log.n_steps, 300, make_rng(5))
+    made = predict_readings(tables, log.n_steps, 300, make_rng(5))
+    np.testing.assert_allclose(made.filtered.log_evidence, plain.log_evidence, rtol=1e-10)
+    np.testing.assert_allclose(
+        np.bincount(made.time, made.log_score, minlength=log.n_steps), plain.log_increments, atol=1e-8
+    )
+    readings = log.n_readings if kind == "walls" else 2 * log.n_readings
+    assert made.log_score.size == readings
+    assert np.all(np.diff(made.time) >= 0)
+    assert not np.isnan(made.reading).any()
+
+
+def test_predictions_agree_with_the_kalman_filter():
+    log = rail_log(40, seed=3, missing=(3, 17))
+    tables = rail_model().bind(log).tables(np.array([0.5, 0.4]))[0]
+    model = kalman.linear_model(tables)
+    made = [predict_readings(tables, 40, 2000, make_rng(k)) for k in range(20)]
+    mean, variance, expected = model.mean, model.std**2, []
+    for t, z in enumerate(model.reading):
+        if t > 0:
+            mean, variance = model.a * mean + model.control[t], model.a**2 * variance + 0.25
+        if not np.isnan(z):
+            spread = variance + 0.16
+            expected.append([stats.norm.cdf(z, mean, math.sqrt(spread)), stats.norm.logpdf(z, mean, math.sqrt(spread))])
+            gain = variance / spread
+            mean, variance = mean + gain * (z - mean), (1.0 - gain) * variance
+    exact = np.array(expected).T
+    found = (np.array([m.low for m in made]), np.array([m.log_score for m in made]))
+    for draws, right in zip(found, exact, strict=True):
+        error = draws.mean(axis=0) - right
+        tolerance = 5.0 * draws.std(axis=0, ddof=1) / math.sqrt(len(made)) + 1e-3
+        assert np.all(np.abs(error) <= tolerance)
+
+
+@pytest.mark.parametrize("kind", ["walls", "landmarks"])
+def test_pits_are_uniform_and_independent_under_the_true_model(kind, rng):
+    """Over some logs, so that the log's own accidents average out; the same test sees a sensor 30 % too noisy."""
+    theta = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04}
+    noise = {"walls": {"sigma_range": 0.05}, "landmarks": {"sigma_landmark_range": 0.3, "sigma_bearing": 0.05}}[kind]
+    right, wrong = [], []
+    for seed in range(6):
+        if kind == "walls":
+            log = simulate_amigobot(150.0, seed, {**theta, **noise})
+        else:
+            log = simulate_landmark_field(150, seed, {**theta, **noise}, bearings=True)
+        bound = default_model(log).bind(log)
+        for factor, into in ((1.0, right), (1.3, wrong)):
+            values = {**theta, **{name: factor * std for name, std in noise.items()}}
+            tables = bound.tables(np.array([values[name] for name in bound.names]))[0]
+            made = predict_readings(tables, log.n_steps, 1000, make_rng(seed))
+            into.append(stats.norm.ppf(made.pit(rng)))
+    xi = np.concatenate(right)
+    assert stats.kstest(xi, "norm").pvalue > 1e-4
+    assert stats.kstest(np.concatenate(wrong), "norm").pvalue < 1e-6
+    # Neighbours in the order of the readings are other beams of the same row: they share the error of the pose.
+    assert abs(np.mean(xi[1:] * xi[:-1])) < 4.0 / math.sqrt(xi.size)
+
+
+def test_part_by_part_is_the_joint_density():
+    log = simulate_amigobot(30.0, 2)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    paths = np.array([log.dataset["true_pose"].values + 0.01 * k for k in range(3)])
+    columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
+    rows = smc.motion_terms(tables.start, tables.motion, columns)
+    rows += smc.sensor_terms(tables.sensors[0], columns)
+    np.testing.assert_allclose(rows.sum(axis=1), [log_joint(tables, path) for path in paths], rtol=1e-10)
+    np.testing.assert_allclose(rows[1], smc.joint_terms(tables, paths[1])[1], rtol=1e-8)
