@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.models.statistics import GaussianSums
 from pmcl.models.tables import Tables
 
-__all__ = ["trajectory_statistics"]
+__all__ = ["block_statistics", "trajectory_statistics"]
 
 Float = NDArray[np.float64]
 
@@ -37,21 +37,62 @@ def trajectory_statistics(
     Returns
     -------
     tuple of statistics, or None
-        None when a part with free parameters offers none: the joint density must then be evaluated as a whole.
-        Cost: O(readings).
+        None when a part with free parameters offers none, or an effect has free parameters: the joint density must then
+        be evaluated as a whole. Cost: O(readings).
     """
-    found: list[NamedTuple] = []
+    found, covered = block_statistics(bound, theta, all_tables, paths)
+    return found if covered.size == theta.size else None
+
+
+def block_statistics(
+    bound: BoundModel, theta: Float, all_tables: Sequence[Tables], paths: Sequence[Float]
+) -> tuple[tuple[NamedTuple, ...], NDArray[np.int64]]:
+    """Return statistics for those parameters that have some, given the trajectories and all other parameters.
+
+    Parameters
+    ----------
+    bound, theta, all_tables, paths
+        As for :func:`trajectory_statistics`.
+
+    Returns
+    -------
+    statistics : tuple of statistics
+        Their slots count the covered parameters only.
+    covered : ndarray of int, shape (k,)
+        Positions in theta of the parameters on which the statistics tell everything. Those of effects are not among
+        them, nor those of parts whose scatter an effect changes.
+    """
+    offered: dict[int, list[NamedTuple]] = {}
+    lacking: set[int] = set()
     for parts, tables, path in zip(bound.parts, all_tables, paths, strict=True):
         made = (tables.start, tables.motion, *tables.sensors)
-        for position, (part, table, slots) in enumerate(zip(parts, made, bound.slots, strict=True)):
-            if not (slots.index >= 0).any():
+        for position, (part, table) in enumerate(zip(parts, made, strict=True)):
+            slots = bound.slots[position]
+            if not (slots.index >= 0).any() or position in lacking:
                 continue
-            ideal = ideal_readings(table, path) if position > 1 else None
-            statistics = part.statistics(table, path, ideal, slots.index, slots.take(theta))
+            statistics = None
+            if bound.has_statistics(position):
+                ideal = ideal_readings(table, path) if position > 1 else None
+                statistics = part.statistics(table, path, ideal, slots.index, slots.take(theta))
             if statistics is None:
-                return None
-            found.append(statistics)
-    return _merged(found)
+                lacking.add(position)
+                offered.pop(position, None)
+            else:
+                offered.setdefault(position, []).append(statistics)
+    covered = np.array(
+        sorted(int(k) for position in offered for k in bound.slots[position].index if k >= 0), dtype=np.int64
+    )
+    found = [statistics for position in sorted(offered) for statistics in offered[position]]
+    if covered.size < theta.size:
+        rank = np.full(theta.size + 1, -1, dtype=np.int64)  # the last entry serves the slot -1 of fixed values
+        rank[covered] = np.arange(covered.size)
+        found = [_reslotted(statistics, rank) for statistics in found]
+    return _merged(found), covered
+
+
+def _reslotted(statistics: Any, rank: NDArray[np.int64]) -> NamedTuple:
+    moved: NamedTuple = statistics._replace(slots=rank[statistics.slots])
+    return moved
 
 
 def _merged(found: list[NamedTuple]) -> tuple[NamedTuple, ...]:

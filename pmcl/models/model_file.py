@@ -15,6 +15,8 @@ import numpy as np
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect, named_apart
+from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_text import MOTIONS, model_text
 from pmcl.models.parts import Part
 from pmcl.models.prior_file import prior_from_table
@@ -22,7 +24,7 @@ from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors import LandmarkNoise, RangeNoise
 from pmcl.models.start import StartBelief
 
-__all__ = ["model_text", "read_model"]
+__all__ = ["model_of_text", "model_text", "read_model"]
 
 _ANYWHERE = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
 _SENSORS = ("range", "landmarks")
@@ -50,13 +52,26 @@ def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
         fixes a parameter outside its range; the message names file and key.
     """
     where = os.fspath(path)
-    content = _load(where)
-    _known_keys(where, "", content, ("motion", "start", "sensors", "priors", "fixed"))
+    return _model(where, _load(where), log)
+
+
+def model_of_text(text: str, log: RobotLog, where: str = "model") -> RobotModel:
+    """Undo :func:`pmcl.models.model_text.model_text`; see :func:`read_model`. `where` names the text in messages."""
+    return _model(where, _parsed(where, text), log)
+
+
+def _model(where: str, content: dict[str, Any], log: RobotLog) -> RobotModel:
+    _known_keys(where, "", content, ("motion", "start", "sensors", "effects", "priors", "fixed"))
     usual = default_model(log)
     motion = MOTIONS[_choice(where, "motion", content.get("motion", "increment"), MOTIONS)]()
     sensors = _sensors(where, content["sensors"], log) if "sensors" in content else usual.sensors
     start = _start(where, content.get("start", "log"))
-    names = [parameter.name for part in (start, motion, *sensors) for parameter in part.parameters]
+    effects = _effects(where, content.get("effects", []), log)
+    try:
+        owners = (start, motion, *sensors, *named_apart(effects))
+    except ModelError as error:
+        _fail(where, "effects", str(error))
+    names = [parameter.name for owner in owners for parameter in owner.parameters]
     priors_given, fixed_given = _table(where, "priors", content), _table(where, "fixed", content)
     _known_keys(where, "priors", priors_given, names)
     _known_keys(where, "fixed", fixed_given, names)
@@ -68,7 +83,7 @@ def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
     priors = {name: prior_from_table(where, name, table) for name, table in priors_given.items()}
     fixed = {name: _number(where, f"fixed.{name}", value) for name, value in fixed_given.items()}
     try:
-        return RobotModel(motion, sensors, start, priors, fixed)
+        return RobotModel(motion, sensors, start, priors, fixed, effects)
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from None
 
@@ -76,9 +91,14 @@ def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
 def _load(where: str) -> dict[str, Any]:
     try:
         with open(where, "rb") as stream:
-            return tomllib.load(stream)
+            return _parsed(where, stream.read())
     except OSError as error:
         raise ModelError(f"{where}: expected a model file, but got '{error.strerror}'; check the path") from None
+
+
+def _parsed(where: str, text: str | bytes) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text if isinstance(text, str) else text.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(
@@ -169,6 +189,27 @@ def _sensors(where: str, given: Any, log: RobotLog) -> tuple[Part, ...]:
             made.append(RangeNoise(_flag(where, f"{key}.outliers", settings.get("outliers", False))))
         else:
             made.append(_landmarks(where, key, settings, log))
+    return tuple(made)
+
+
+def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
+    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
+        _fail(where, "effects", f"expected tables [[effects]], but got {given!r}; write [[effects]] and name = below")
+    made = []
+    for one in given:
+        if not isinstance(one.get("name"), str):
+            _fail(where, "effects", f"expected the name of an effect, but got {one!r}; write for example "
+                  'name = "range-bias"')  # fmt: skip
+        place = {key: value for key, value in one.items() if key != "name"}
+        for key, value in place.items():
+            if not isinstance(value, list) or not value:
+                _fail(where, f"effects.{key}", f"expected a list of numbers, but got {value!r}; write for example [2]")
+            for number in value:
+                _number(where, f"effects.{key}", number)
+        try:
+            made.append(effect_named(one["name"], log, place))
+        except ModelError as error:
+            _fail(where, "effects", str(error))
     return tuple(made)
 
 

@@ -11,6 +11,7 @@ from tomlkit.items import Table
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
 from pmcl.models.parts import Part
 from pmcl.models.prior_file import prior_to_table
@@ -63,6 +64,7 @@ def model_text(model: RobotModel, log: RobotLog) -> str:
         name, table = _sensor(part)
         sensors[name] = table
     document["sensors"] = sensors
+    _add_effects(document, model)
     _add_priors(document, model)
     _add_fixed(document, model)
     return tomlkit.dumps(document)
@@ -119,6 +121,25 @@ def _sensor(part: Part) -> tuple[str, Table]:
     if part.size_at_one_metre is not None:
         table["size_at_one_metre"] = tomlkit.item(float(part.size_at_one_metre)).comment("pixels")
     return "landmarks", table
+
+
+def _add_effects(document: tomlkit.TOMLDocument, model: RobotModel) -> None:
+    if not model.effects:
+        return
+    known = {effect.name: effect for effect in CATALOGUE}
+    tables = tomlkit.aot()
+    for effect in model.effects:
+        if effect.name not in known or known[effect.name].change is not effect.change:
+            raise ModelError(
+                f"expected effects of the catalogue, which a model file can name, but got {effect.name}; "
+                "keep this model in Python"
+            )
+        table = tomlkit.table()
+        table["name"] = tomlkit.item(effect.name).comment(effect.summary)
+        for key, values in effect.where.items():
+            table[key] = list(values)
+        tables.append(table)
+    document["effects"] = tables
 
 
 def _add_priors(document: tomlkit.TOMLDocument, model: RobotModel) -> None:

@@ -13,7 +13,7 @@ from scipy import stats
 
 from pmcl.errors import ModelError
 
-__all__ = ["Parameter", "PriorTable", "gamma_prior", "log_prior_function", "prior_support", "prior_table"]
+__all__ = ["Parameter", "PriorTable", "gamma_prior", "log_prior_function", "prior_rows", "prior_support", "prior_table"]
 
 Float = NDArray[np.float64]
 
@@ -103,6 +103,12 @@ def prior_table(parameters: Sequence[Parameter]) -> PriorTable | None:
         return None
     columns = np.array(known, dtype=float).reshape(-1, 6).T
     return PriorTable(columns[0].astype(np.int64), *(np.ascontiguousarray(column) for column in columns[1:]))
+
+
+def prior_rows(table: PriorTable, rows: NDArray[np.int64]) -> PriorTable:
+    """Return the priors of some parameters, by their positions."""
+    shape_a, shape_b, loc, scale, constant = (column[rows] for column in table[1:])
+    return PriorTable(table.family[rows], shape_a, shape_b, loc, scale, constant)
 
 
 def log_prior_function(parameters: Sequence[Parameter]) -> Callable[[Float], float]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from pmcl.errors import LogError, ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.parameters import Parameter, PriorTable, log_prior_function, prior_support, prior_table
 from pmcl.models.parts import BoundPart, Float, Int, Part
@@ -36,6 +37,9 @@ class RobotModel:
         Replaces default priors, by parameter name.
     fixed : mapping of str to float
         Parameters that are known; they are not inferred.
+    effects : tuple of Effect
+        What plain parts leave out (:mod:`pmcl.models.effects`); their edits are applied in order, and their parameters
+        join the others. Parameters of an effect that occurs several times are told apart by its place.
 
     Raises
     ------
@@ -48,10 +52,11 @@ class RobotModel:
     start: Part = field(default_factory=StartBelief)
     priors: Mapping[str, object] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the names."""
-        names = [parameter.name for part in self.parts for parameter in part.parameters]
+        names = [parameter.name for owner in self.owners for parameter in owner.parameters]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ModelError(
@@ -64,8 +69,8 @@ class RobotModel:
         self._check_fixed()
 
     def _check_fixed(self) -> None:
-        for part in self.parts:
-            for parameter in part.parameters:
+        for owner in self.owners:
+            for parameter in owner.parameters:
                 if parameter.name not in self.fixed:
                     continue
                 value = float(self.fixed[parameter.name])
@@ -86,12 +91,22 @@ class RobotModel:
         return (self.start, self.motion, *self.sensors)
 
     @property
+    def named_effects(self) -> tuple[Effect, ...]:
+        """The effects with the parameter names that they have in this model."""
+        return named_apart(self.effects)
+
+    @property
+    def owners(self) -> tuple[Part | Effect, ...]:
+        """Everything that has parameters, in their order: the parts, then the effects."""
+        return (*self.parts, *self.named_effects)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters to infer, with the priors in force."""
         return tuple(
             Parameter(p.name, p.unit, self.priors.get(p.name, p.prior), p.description)
-            for part in self.parts
-            for p in part.parameters
+            for owner in self.owners
+            for p in owner.parameters
             if p.name not in self.fixed
         )
 
@@ -137,8 +152,10 @@ class BoundModel:
         Number of time steps of each log.
     parts : tuple of tuple of BoundPart
         For each log: start, motion, sensors.
+    effects : tuple of Effect
+        The model's effects, with the parameter names that they have in it.
     slots : tuple
-        For each part: where its parameters come from.
+        For each part, then for each effect: where its parameters come from.
     """
 
     def __init__(self, model: RobotModel, logs: tuple[RobotLog, ...]) -> None:
@@ -150,6 +167,7 @@ class BoundModel:
         self.parts: tuple[tuple[BoundPart, ...], ...] = tuple(
             tuple(part.bind(log) for part in model.parts) for log in logs
         )
+        self.effects = model.named_effects
         self.slots = self._slots()
         for log in logs:
             if log.n_readings == 0:
@@ -169,8 +187,8 @@ class BoundModel:
     def _slots(self) -> tuple[_Slots, ...]:
         position = {parameter.name: k for k, parameter in enumerate(self.parameters)}
         slots = []
-        for part in self.model.parts:
-            own = [parameter.name for parameter in part.parameters]
+        for owner in self.model.owners:
+            own = [parameter.name for parameter in owner.parameters]
             index = np.array([position.get(name, -1) for name in own], dtype=np.int64)
             value = np.array([float(self.model.fixed.get(name, math.nan)) for name in own])
             slots.append(_Slots(index, value))
@@ -189,11 +207,23 @@ class BoundModel:
     def tables(self, theta: Float) -> tuple[Tables, ...]:
         """Return the coefficient tables of each log for `theta` (d,)."""
         own = [slots.take(theta) for slots in self.slots]
+        n_parts = len(self.model.parts)
         made = []
-        for parts in self.parts:
-            start, motion, *sensors = (part.table(values) for part, values in zip(parts, own, strict=True))
-            made.append(Tables(start, motion, tuple(sensors)))
+        for log, parts in zip(self.logs, self.parts, strict=True):
+            start, motion, *sensors = (part.table(values) for part, values in zip(parts, own[:n_parts], strict=True))
+            tables = Tables(start, motion, tuple(sensors))
+            for effect, values in zip(self.effects, own[n_parts:], strict=True):
+                tables = effect.edit(tables, values, log)
+            made.append(tables)
         return tuple(made)
+
+    def has_statistics(self, position: int) -> bool:
+        """Return whether the statistics that a part offers are still those of its density, effects included.
+
+        They are where effects only move what its table expects; `position` counts as in :attr:`parts`.
+        """
+        touching = [effect for effect in self.effects if (effect.carrier == "motion") == (position == 1)]
+        return position == 0 or all(effect.means_only for effect in touching)
 
     def log_prior(self, theta: Float) -> float:
         """Return the log prior density of `theta`; -inf outside its support."""

@@ -29,6 +29,8 @@ def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
         digest.update(repr((described, shapes)).encode())
     for part in bound.model.parts:
         digest.update(f"{type(part).__module__}.{type(part).__qualname__}".encode())
+    for effect in bound.model.effects:
+        digest.update(f"{effect.name} {sorted((key, tuple(value)) for key, value in effect.where.items())}".encode())
     for tables in bound.tables(bound.prior_mean()):
         for table in (tables.start, tables.motion, *tables.sensors):
             for name, value in zip(type(table)._fields, table, strict=True):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pmcl.filtering.kernels.metropolis import metropolis_block
 from pmcl.filtering.particle_filter import log_joint
-from pmcl.filtering.statistics import trajectory_statistics
+from pmcl.filtering.statistics import block_statistics
+from pmcl.models.parameters import prior_rows
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 
@@ -56,14 +57,23 @@ def update_theta(
     Returns
     -------
     theta, log_step, accepted : ndarray, shape (d,)
-        New arrays. Cost: O(readings) once, then O(d) for each round where sums of squares suffice.
+        New arrays. Cost: O(readings) once, then O(d) for each round where sums of squares suffice. Parameters without
+        such statistics (those of effects, and noise that an effect reshapes) are updated after the others, with the
+        joint density evaluated at every proposal.
     """
     theta, log_step, accepted = theta.copy(), log_step.copy(), np.zeros(theta.size)
     if n_sweeps == 0:
         return theta, log_step, accepted
-    statistics = trajectory_statistics(bound, theta, tables, paths)
-    if statistics is not None and bound.priors is not None:
-        metropolis_block(rng, theta, log_step, n_sweeps, gain, TARGET_ACCEPTANCE, bound.priors, statistics, accepted)
+    covered = np.empty(0, dtype=np.int64)
+    if bound.priors is not None:
+        statistics, covered = block_statistics(bound, theta, tables, paths)
+        if covered.size:
+            own, steps, shares = theta[covered], log_step[covered], accepted[covered]
+            priors = bound.priors if covered.size == theta.size else prior_rows(bound.priors, covered)
+            metropolis_block(rng, own, steps, n_sweeps, gain, TARGET_ACCEPTANCE, priors, statistics, shares)
+            theta[covered], log_step[covered], accepted[covered] = own, steps, shares
+    rest = np.setdiff1d(np.arange(theta.size), covered)
+    if rest.size == 0:
         return theta, log_step, accepted
 
     def log_density(trial: Float) -> float:
@@ -73,7 +83,7 @@ def update_theta(
         parts = (log_joint(table, path) for table, path in zip(bound.tables(trial), paths, strict=True))
         return prior + math.fsum(parts)
 
-    _random_walk(log_density, theta, log_step, n_sweeps, gain, rng, accepted)
+    _random_walk(log_density, theta, log_step, rest, n_sweeps, gain, rng, accepted)
     return theta, log_step, accepted
 
 
@@ -81,15 +91,16 @@ def _random_walk(
     log_density: Callable[[Float], float],
     theta: Float,
     log_step: Float,
+    which: NDArray[np.int64],
     n_sweeps: int,
     gain: float,
     rng: np.random.Generator,
     accepted: Float,
 ) -> None:
-    """Do the same as the compiled block with any log density; all arrays change in place."""
+    """Do the same as the compiled block with any log density for some of the parameters; arrays change in place."""
     current = log_density(theta)
     for _ in range(n_sweeps):
-        for k in range(theta.size):
+        for k in which:
             trial = theta.copy()
             trial[k] += math.exp(log_step[k]) * rng.standard_normal()
             value = log_density(trial)

@@ -1,0 +1,34 @@
+"""Missing effects: what a model of noise alone leaves out, as objects that edit coefficient tables.
+
+An :class:`~pmcl.models.effects.effect.Effect` has a name, parameters with priors, and a function that edits the tables
+of :mod:`pmcl.models.tables`. In a :class:`~pmcl.models.robot_model.RobotModel` it is calibrated with everything else,
+in ``pmcl simulate --effect`` it is simulated, and the critic looks for it. :mod:`~pmcl.models.effects.catalogue` holds
+the effects that pmcl knows, :mod:`~pmcl.models.effects.selection` picks them by name.
+
+An effect of one's own is a few lines of numpy. A robot that pulls to one side whenever it accelerates::
+
+    from pmcl import Parameter, RobotModel
+    from pmcl.models.effects.effect import Effect
+    from scipy import stats
+
+    def pulled(tables, values, log, where):
+        (pull,) = values                                       # [rad/m]: turn per change of the forward increment
+        mean = tables.motion.mean.copy()
+        mean[1:, 2] += pull * np.diff(mean[:, 0])
+        return tables._replace(motion=tables.motion._replace(mean=mean))
+
+    torque_steer = Effect(
+        name="torque-steer",
+        summary="The robot pulls to one side whenever it accelerates.",
+        parameters=(Parameter("torque_steer", "rad/m", stats.norm(scale=0.5)),),
+        null=(0.0,),
+        change=pulled,
+        carrier="motion",
+        typical={"clear": (0.5,)},
+    )
+    model = RobotModel(sensors=(RangeNoise(),), effects=(torque_steer,))
+
+Edits run in order at every proposed theta: keep them cheap, return new arrays and leave the given ones alone. They
+change what a reading or an increment is expected to be, never the readings themselves. An effect that the plain tables
+cannot express turns them into richer ones first (:mod:`pmcl.models.effects.editing`).
+"""

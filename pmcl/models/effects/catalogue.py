@@ -1,0 +1,31 @@
+"""All effects that pmcl knows."""
+
+from __future__ import annotations
+
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.echoes import ECHO_EFFECTS
+from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.landmarks import LANDMARK_EFFECTS
+from pmcl.models.effects.maps import MAP_EFFECTS
+from pmcl.models.effects.motion_noise import MOTION_NOISE_EFFECTS
+from pmcl.models.effects.mount import MOUNT_EFFECTS
+from pmcl.models.effects.odometry import ODOMETRY_EFFECTS
+from pmcl.models.effects.ranges import RANGE_EFFECTS
+
+__all__ = ["CATALOGUE", "candidates"]
+
+CATALOGUE: tuple[Effect, ...] = (
+    *ODOMETRY_EFFECTS,
+    *MOTION_NOISE_EFFECTS,
+    *RANGE_EFFECTS,
+    *ECHO_EFFECTS,
+    *MOUNT_EFFECTS,
+    *LANDMARK_EFFECTS,
+    *MAP_EFFECTS,
+)
+"""Every effect once, in its general form."""
+
+
+def candidates(log: RobotLog) -> tuple[Effect, ...]:
+    """Return every instance of every effect that a log can show."""
+    return tuple(instance for effect in CATALOGUE for instance in effect.instances(log))

@@ -1,0 +1,97 @@
+"""The map is wrong: something stands elsewhere than it says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.editing import change_beams, change_landmarks
+from pmcl.models.effects.effect import Effect, Where
+from pmcl.models.effects.landmarks import reads_landmarks
+from pmcl.models.effects.ranges import reads_ranges
+from pmcl.models.parameters import Parameter
+from pmcl.models.parts import Float
+from pmcl.models.tables import Tables
+
+__all__ = ["MAP_EFFECTS"]
+
+_THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 8.5"
+
+
+def _sees_walls(log: RobotLog) -> bool:
+    return reads_ranges(log) and log.walls is not None
+
+
+def _each_wall(log: RobotLog) -> list[Where]:
+    assert log.walls is not None
+    return [{"walls": (wall,)} for wall in range(log.walls.segments.shape[0])]
+
+
+def _each_landmark(log: RobotLog) -> list[Where]:
+    held = (log.landmark_range, log.landmark_bearing, log.landmark_size)
+    seen = np.any([~np.isnan(values).all(axis=0) for values in held if values is not None], axis=0)
+    return [{"landmarks": (int(landmark),)} for landmark in np.flatnonzero(seen)]
+
+
+def _wall_moved(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    def edit(beams: Any) -> Any:
+        vertices = beams.vertices.copy()
+        for wall in where.get("walls", (0,)):
+            a, b = beams.wall_start[int(wall)], beams.wall_stop[int(wall)]
+            along = beams.vertices[b] - beams.vertices[a]
+            # To the left of the way from its first end to its second. Walls that meet it are drawn along, so that a
+            # closed room stays closed.
+            vertices[[a, b]] += values[0] * np.array([-along[1], along[0]]) / np.hypot(*along)
+        return beams._replace(vertices=vertices)
+
+    return change_beams(tables, edit, "wall-moved")
+
+
+def _landmark_moved(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    def edit(seen: Any) -> Any:
+        position = seen.position.copy()
+        position[[int(landmark) for landmark in where.get("landmarks", (0,))]] += values
+        return seen._replace(position=position)
+
+    return change_landmarks(tables, edit, "landmark-moved")
+
+
+MAP_EFFECTS = (
+    Effect(
+        name="landmark-moved",
+        summary="One landmark stands elsewhere than the map says.",
+        parameters=(
+            Parameter("landmark_moved_x", "m", stats.norm(scale=0.5), "how far along x from its place on the map"),
+            Parameter("landmark_moved_y", "m", stats.norm(scale=0.5), "how far along y from its place on the map"),
+        ),
+        null=(0.0, 0.0),
+        change=_landmark_moved,
+        carrier="map",
+        look="Residuals of one landmark depend on where it is seen from; those of the others are fine.",
+        typical={"just visible": (0.1, 0.0), "clear": (0.3, 0.2), "large": (0.8, 0.6)},
+        means_only=True,
+        near_twins={"landmark-misread": "look again later: a misread landmark is right the next time"},
+        references=(_THRUN,),
+        needs=reads_landmarks,
+        places=_each_landmark,
+    ),
+    Effect(
+        name="wall-moved",
+        summary="One wall stands farther in or out than the map says.",
+        parameters=(Parameter("wall_moved", "m", stats.norm(scale=0.2), "how far left of its place, seen from its first "
+                              "end to its second"),),
+        null=(0.0,),
+        change=_wall_moved,
+        carrier="map",
+        look="All beams that hit one wall read too long (or too short) by the same length.",
+        typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
+        means_only=True,
+        near_twins={"range-bias": "look at every wall from several sides"},
+        references=(_THRUN,),
+        needs=_sees_walls,
+        places=_each_wall,
+    ),
+)  # fmt: skip

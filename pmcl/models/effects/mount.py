@@ -1,0 +1,102 @@
+"""The sensor is not where, or not looking where, the robot's description says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.editing import change_beams, change_landmarks
+from pmcl.models.effects.effect import Effect, Where
+from pmcl.models.effects.ranges import reads_ranges
+from pmcl.models.parameters import Parameter
+from pmcl.models.parts import Float
+from pmcl.models.tables import Tables
+
+__all__ = ["MOUNT_EFFECTS"]
+
+
+def reads_anything(log: RobotLog) -> bool:
+    """Return whether the log has readings of beams or landmarks."""
+    return log.n_readings > 0
+
+
+def has_direction(log: RobotLog) -> bool:
+    """Return whether turning the sensor would change its readings: bare distances to landmarks tell no direction."""
+    bearing = log.landmark_bearing
+    return reads_ranges(log) or (bearing is not None and not bool(np.isnan(bearing).all()))
+
+
+def _remount(tables: Tables, name: str, beams: Any, landmarks: Any) -> Tables:
+    tables = change_beams(tables, beams, name, required=False)
+    return change_landmarks(tables, landmarks, name, required=False)
+
+
+def _sensor_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    (yaw,) = values
+    c, s = np.cos(yaw), np.sin(yaw)
+
+    def ring(beams: Any) -> Any:
+        # The ring turns as a whole, around the robot's centre.
+        pose = beams.beam_pose.copy()
+        x, y = beams.beam_pose[:, 0], beams.beam_pose[:, 1]
+        pose[:, 0], pose[:, 1] = c * x - s * y, s * x + c * y
+        pose[:, 2] += yaw
+        return beams._replace(beam_pose=pose)
+
+    def camera(seen: Any) -> Any:
+        # A camera is one thing and turns on its own axis.
+        return seen._replace(sensor_pose=seen.sensor_pose + np.array([0.0, 0.0, yaw]))
+
+    return _remount(tables, "sensor-yaw", ring, camera)
+
+
+def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    offset = np.array([values[0], values[1], 0.0])
+    return _remount(
+        tables,
+        "sensor-offset",
+        lambda beams: beams._replace(beam_pose=beams.beam_pose + offset),
+        lambda seen: seen._replace(sensor_pose=seen.sensor_pose + offset),
+    )
+
+
+MOUNT_EFFECTS = (
+    Effect(
+        name="sensor-yaw",
+        summary="The whole sensor (ring of beams, camera) is mounted at another angle than described.",
+        parameters=(Parameter("sensor_yaw", "rad", stats.norm(scale=0.15), "by how much the sensor points too far "
+                              "left"),),
+        null=(0.0,),
+        change=_sensor_yaw,
+        look="The robot seems to drive sideways: the heading that fits the readings is not the one it drives along.",
+        typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
+        means_only=True,
+        near_twins={
+            "odometry-side-drift": "turn on the spot or drive backwards: for pure forward driving the two are the same",
+            "range-noise-correlated": "turn often",
+        },
+        references=("Censi, Franchi, Marchionni, Oriolo, Simultaneous Calibration of Odometry and Sensor Parameters "
+                    "for Mobile Robots, 2013",),
+        needs=has_direction,
+    ),
+    Effect(
+        name="sensor-offset",
+        summary="The whole sensor sits ahead of, behind or beside where it is described.",
+        parameters=(
+            Parameter("sensor_offset_x", "m", stats.norm(scale=0.15), "how far ahead of its described place"),
+            Parameter("sensor_offset_y", "m", stats.norm(scale=0.15), "how far left of its described place"),
+        ),
+        null=(0.0, 0.0),
+        change=_sensor_offset,
+        look="When the robot turns on the spot, its readings move as if it went around a circle.",
+        typical={"just visible": (0.03, 0.0), "clear": (0.1, 0.05), "large": (0.25, 0.15)},
+        means_only=True,
+        near_twins={"odometry-turn-bias": "turn both ways: without turns an offset cannot be told from the pose"},
+        references=("Censi, Franchi, Marchionni, Oriolo, Simultaneous Calibration of Odometry and Sensor Parameters "
+                    "for Mobile Robots, 2013",),
+        needs=reads_anything,
+    ),
+)  # fmt: skip

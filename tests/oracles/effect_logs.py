@@ -1,0 +1,62 @@
+"""Logs that can show the effects of the catalogue, and densities of whole paths under edited tables."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from pmcl.filtering.kernels import smc
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.catalogue import CATALOGUE
+from pmcl.models.effects.effect import Effect
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.tables import Tables
+from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.robots.landmark_field import simulate_landmark_field
+
+SONAR = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
+FIELD = {"sigma_landmark_range": 0.2, "sigma_bearing": 0.05}
+
+
+@cache
+def sonar_log(n_steps: int = 80) -> RobotLog:
+    return simulate_amigobot(float(n_steps), 11, SONAR)
+
+
+@cache
+def field_log(n_steps: int = 80) -> RobotLog:
+    return simulate_landmark_field(n_steps, 12, FIELD, bearings=True)
+
+
+def log_for(effect: Effect, n_steps: int = 80) -> RobotLog:
+    """A log that can show an effect: sonars where they can, else landmarks."""
+    return next(log for log in (sonar_log(n_steps), field_log(n_steps)) if effect.applies(log))
+
+
+def instance(effect: Effect, log: RobotLog, which: int = 1) -> Effect:
+    """One instance of an effect, not the first where there are several."""
+    made = effect.instances(log)
+    return made[min(which, len(made) - 1)]
+
+
+def model_with(log: RobotLog, *effects: Effect, **changes) -> RobotModel:
+    return RobotModel(sensors=default_model(log).sensors, effects=effects, **changes)
+
+
+def true_values(log: RobotLog) -> np.ndarray:
+    """The parameters that the log was simulated with."""
+    return np.array(list(log.true_theta.values()))
+
+
+def base_tables(log: RobotLog) -> Tables:
+    return default_model(log).bind(log).tables(true_values(log))[0]
+
+
+def row_densities(tables: Tables, path: np.ndarray) -> np.ndarray:
+    """Log density of each row of a path (T, 3) and its readings."""
+    return np.array(smc.joint_terms(tables, np.ascontiguousarray(path))[1])
+
+
+NAMES = [effect.name for effect in CATALOGUE]
+BY_NAME = {effect.name: effect for effect in CATALOGUE}
