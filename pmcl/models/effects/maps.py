@@ -81,8 +81,8 @@ MAP_EFFECTS = (
     Effect(
         name="wall-moved",
         summary="One wall stands farther in or out than the map says.",
-        parameters=(Parameter("wall_moved", "m", stats.norm(scale=0.2), "how far left of its place, seen from its first "
-                              "end to its second"),),
+        parameters=(Parameter("wall_moved", "m", stats.norm(scale=0.2), "how far left of its place, seen from its "
+                              "first end to its second"),),
         null=(0.0,),
         change=_wall_moved,
         carrier="map",
