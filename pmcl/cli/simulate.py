@@ -36,6 +36,15 @@ def _options_of_robots(command: Command) -> Command:
             callback=parameter_values,
             help="True value of a parameter (may be repeated); the others are drawn from their priors.",
         ),
+        click.option(
+            "--effect",
+            "effects",
+            metavar="NAME[@PLACE][=VALUE]",
+            multiple=True,
+            help="An effect that the default model lacks, e.g. range-bias=0.05, beam-bias@2=large (may be repeated); "
+            "without a place one is chosen, without a value the effect is clear. 'pmcl effects' lists them.",
+        ),
+        click.option("--hide-effects", is_flag=True, help="Do not tell in the log which effects are in it."),
     )
     for option in reversed(options):
         command = option(command)
@@ -44,20 +53,20 @@ def _options_of_robots(command: Command) -> Command:
 
 @simulate.command()
 @_options_of_robots
-def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float]) -> None:
+def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float], **effects: Any) -> None:
     """Simulate the paper's Amigobot: eight sonars in an L-shaped room."""
     from pmcl.robots.amigobot import simulate_amigobot
 
-    _write(simulate_amigobot(duration, seed, theta, where="simulate amigobot"), output)
+    _write(simulate_amigobot(duration, seed, theta, **effects, where="simulate amigobot"), output)
 
 
 @simulate.command()
 @_options_of_robots
-def aibo(output: Path, duration: float, seed: int, theta: dict[str, float]) -> None:
+def aibo(output: Path, duration: float, seed: int, theta: dict[str, float], **effects: Any) -> None:
     """Simulate the paper's AIBO: a camera that sees coloured landmarks at the corners of a field."""
     from pmcl.robots.aibo import simulate_aibo
 
-    _write(simulate_aibo(duration, seed, theta, where="simulate aibo"), output)
+    _write(simulate_aibo(duration, seed, theta, **effects, where="simulate aibo"), output)
 
 
 def _write(log: RobotLog, output: Path) -> None:

@@ -226,9 +226,9 @@ class RobotLog(LogArrays):
         return RobotLog(part, f"{self.where}[{start}:{stop}]")
 
     def without_truth(self) -> RobotLog:
-        """Return the same log without reference trajectory, true parameters and seed."""
+        """Return the same log without reference trajectory, true parameters, simulated effects and seed."""
         bare = self.dataset.drop_vars(list(REFERENCE), errors="ignore")
-        bare.attrs = {key: value for key, value in bare.attrs.items() if key not in ("true_theta", "seed")}
+        bare.attrs = {key: value for key, value in bare.attrs.items() if key not in ("true_theta", "effects", "seed")}
         return RobotLog(bare, self.where)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from pmcl.maps.landmarks import LandmarkMap
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.sensors import LandmarkNoise
 from pmcl.robots.driving import WaypointDriver, drive
+from pmcl.robots.effects import Affected, Given, affected_by
 from pmcl.robots.sightings import draw_sightings
 from pmcl.robots.simulate import check_run, draw_theta, make_rng
 
@@ -49,6 +50,8 @@ def simulate_aibo(
     seed: int = 0,
     theta: Mapping[str, float] | None = None,
     *,
+    effects: Sequence[Given] = (),
+    hide_effects: bool = False,
     where: str = "simulate_aibo",
 ) -> RobotLog:
     """Simulate the paper's AIBO: one step and one picture of its camera per second.
@@ -63,6 +66,12 @@ def simulate_aibo(
     theta : mapping of str to float, optional
         True ``sigma_forward`` [m], ``sigma_left`` [m], ``sigma_turn`` [rad], ``sigma_bearing`` [rad] and ``sigma_size``
         [1]. Those that are left out are drawn from the gamma priors of the default model.
+    effects : sequence, optional
+        Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
+        :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
+    hide_effects : bool
+        Whether the log keeps silent about them; otherwise their values join ``true_theta``, and the attribute
+        ``effects`` tells name and place.
     where : str
         The caller, for messages.
 
@@ -75,7 +84,7 @@ def simulate_aibo(
     Raises
     ------
     ModelError
-        When `duration` or `seed` is not usable, or `theta` does not fit the priors.
+        When `duration` or `seed` is not usable, `theta` does not fit the priors, or an effect cannot be simulated.
 
     Notes
     -----
@@ -97,10 +106,10 @@ def simulate_aibo(
     motion, sensor = IncrementNoise(), LandmarkNoise(range=False, bearing=True, size=True)
     truth = draw_theta((*motion.parameters, *sensor.parameters), theta, rng)
     start = _START + _START_STD * rng.standard_normal(3)
-    driver = WaypointDriver(_WAYPOINTS, step=0.15, turn=0.5, reached=0.2)
-    path, command = drive(start, driver, [truth[p.name] for p in motion.parameters], n_steps, rng)
+    path, command = drive(start, _driver(), [truth[p.name] for p in motion.parameters], n_steps, rng)
 
-    def logged(readings: Mapping[str, Float]) -> RobotLog:
+    def logged(readings: Mapping[str, Float], affected: Affected | None = None) -> RobotLog:
+        told = affected is not None and not hide_effects
         return RobotLog.build(
             time=_PERIOD * np.arange(n_steps),
             odometry=command,
@@ -111,7 +120,8 @@ def simulate_aibo(
             start_mean=_START,
             start_std=_START_STD,
             true_poses=path,
-            true_theta=truth,
+            true_theta=affected.true_theta if affected and told else truth,
+            attributes={"effects": affected.described()} if affected and told and effects else None,
             robot="AIBO (simulated)",
             source=f"pmcl.robots.aibo, seed {seed}",
             seed=seed,
@@ -119,9 +129,19 @@ def simulate_aibo(
         )
 
     seen = np.where(_in_view(path), 1.0, np.nan)
-    readings = draw_sightings(sensor, logged({"bearing": seen, "size": seen}), truth, path, rng)
+    empty = logged({"bearing": seen, "size": seen})
+    affected = affected_by(effects, empty, seed, motion, sensor, truth)
+    if affected.moves_differently:
+        path, command = affected.drive(empty, start, _driver(), rng)
+        seen = np.where(_in_view(path), 1.0, np.nan)
+        empty = logged({"bearing": seen, "size": seen})
+    readings = draw_sightings(affected.tables(empty).sensors[0], empty, path, rng)
     nothing = readings["size"] <= 0.0
-    return logged({name: np.where(nothing, np.nan, values) for name, values in readings.items()})
+    return logged({name: np.where(nothing, np.nan, values) for name, values in readings.items()}, affected)
+
+
+def _driver() -> WaypointDriver:
+    return WaypointDriver(_WAYPOINTS, step=0.15, turn=0.5, reached=0.2)
 
 
 def _in_view(path: Float) -> NDArray[np.bool_]:

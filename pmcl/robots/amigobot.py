@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from pmcl.maps.walls import WallMap
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.sensors import RangeNoise
 from pmcl.robots.driving import WaypointDriver, drive
+from pmcl.robots.effects import Affected, Given, affected_by
 from pmcl.robots.simulate import check_run, draw_theta, make_rng, simulate_readings
 
 __all__ = ["AMIGOBOT_BEAMS", "AMIGOBOT_ROOM", "simulate_amigobot"]
@@ -42,6 +43,8 @@ def simulate_amigobot(
     seed: int = 0,
     theta: Mapping[str, float] | None = None,
     *,
+    effects: Sequence[Given] = (),
+    hide_effects: bool = False,
     where: str = "simulate_amigobot",
 ) -> RobotLog:
     """Simulate the paper's Amigobot: one step and one reading of all eight sonars per second.
@@ -55,6 +58,12 @@ def simulate_amigobot(
     theta : mapping of str to float, optional
         True ``sigma_forward`` [m], ``sigma_left`` [m], ``sigma_turn`` [rad] and ``sigma_range`` [m]. Those that are
         left out are drawn from the gamma priors of the default model.
+    effects : sequence, optional
+        Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
+        :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
+    hide_effects : bool
+        Whether the log keeps silent about them; otherwise their values join ``true_theta``, and the attribute
+        ``effects`` tells name and place.
     where : str
         The caller, for messages.
 
@@ -67,7 +76,7 @@ def simulate_amigobot(
     Raises
     ------
     ModelError
-        When `duration` or `seed` is not usable, or `theta` does not fit the priors.
+        When `duration` or `seed` is not usable, `theta` does not fit the priors, or an effect cannot be simulated.
 
     Notes
     -----
@@ -85,10 +94,10 @@ def simulate_amigobot(
     motion, sensor = IncrementNoise(), RangeNoise()
     truth = draw_theta((*motion.parameters, *sensor.parameters), theta, rng)
     start = _START + _START_STD * rng.standard_normal(3)
-    driver = WaypointDriver(_WAYPOINTS, step=0.15, turn=0.6, reached=0.2)
-    path, command = drive(start, driver, [truth[p.name] for p in motion.parameters], n_steps, rng)
+    path, command = drive(start, _driver(), [truth[p.name] for p in motion.parameters], n_steps, rng)
 
-    def logged(ranges: np.ndarray) -> RobotLog:
+    def logged(ranges: np.ndarray, affected: Affected | None = None) -> RobotLog:
+        told = affected is not None and not hide_effects
         return RobotLog.build(
             time=_PERIOD * np.arange(n_steps),
             odometry=command,
@@ -99,7 +108,8 @@ def simulate_amigobot(
             start_mean=_START,
             start_std=_START_STD,
             true_poses=path,
-            true_theta=truth,
+            true_theta=affected.true_theta if affected and told else truth,
+            attributes={"effects": affected.described()} if affected and told and effects else None,
             robot="Amigobot (simulated)",
             source=f"pmcl.robots.amigobot, seed {seed}",
             seed=seed,
@@ -108,5 +118,12 @@ def simulate_amigobot(
 
     # The model itself makes the readings, from a log in which every sonar was read at every row.
     empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
-    table = sensor.bind(empty).table(np.array([truth[p.name] for p in sensor.parameters]))
-    return logged(simulate_readings(table, path, rng).reading)
+    affected = affected_by(effects, empty, seed, motion, sensor, truth)
+    if affected.moves_differently:
+        path, command = affected.drive(empty, start, _driver(), rng)
+        empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
+    return logged(simulate_readings(affected.tables(empty).sensors[0], path, rng).reading, affected)
+
+
+def _driver() -> WaypointDriver:
+    return WaypointDriver(_WAYPOINTS, step=0.15, turn=0.6, reached=0.2)

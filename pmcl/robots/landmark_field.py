@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from pmcl.models.motion import IncrementNoise
 from pmcl.models.parameters import Parameter
 from pmcl.models.sensors import LandmarkNoise
 from pmcl.robots.driving import WaypointDriver, drive
+from pmcl.robots.effects import Affected, Given, affected_by
 from pmcl.robots.sightings import draw_sightings
 from pmcl.robots.simulate import draw_theta, make_rng
 
@@ -39,6 +40,8 @@ def simulate_landmark_field(
     ranges: bool = True,
     bearings: bool = False,
     reach: float = np.inf,
+    effects: Sequence[Given] = (),
+    hide_effects: bool = False,
 ) -> RobotLog:
     """Simulate a robot that drives a loop in a square of 20 m with landmarks along its border.
 
@@ -57,6 +60,12 @@ def simulate_landmark_field(
         What the robot reads of each landmark.
     reach : float
         Landmarks whose true distance is greater are not seen [m].
+    effects : sequence, optional
+        Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
+        :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
+    hide_effects : bool
+        Whether the log keeps silent about them; otherwise their values join ``true_theta``, and the attribute
+        ``effects`` tells name and place.
 
     Returns
     -------
@@ -67,7 +76,7 @@ def simulate_landmark_field(
     Raises
     ------
     ModelError
-        When sizes or names are not usable.
+        When sizes or names are not usable, or an effect cannot be simulated.
     """
     if n_steps < 2 or n_landmarks < 1 or seed < 0 or not (ranges or bearings):
         raise ModelError(
@@ -80,13 +89,11 @@ def simulate_landmark_field(
     usual = {parameter.name: _USUAL[parameter.name] for parameter in parameters}
     truth = draw_theta(parameters, {**usual, **(theta or {})}, rng)
     start = _START + _START_STD * rng.standard_normal(3)
-    driver = WaypointDriver(_WAYPOINTS, step=0.5, turn=0.6, reached=0.8, aim=0.8)
-    path, command = drive(start, driver, [truth[p.name] for p in motion.parameters], n_steps, rng)
+    path, command = drive(start, _driver(), [truth[p.name] for p in motion.parameters], n_steps, rng)
     positions = _border(n_landmarks)
-    distance = np.hypot(*(positions - path[:, None, :2]).transpose(2, 0, 1))
-    seen = np.where(distance <= reach, 1.0, np.nan)
 
-    def logged(readings: dict[str, np.ndarray]) -> RobotLog:
+    def logged(readings: dict[str, np.ndarray], affected: Affected | None = None) -> RobotLog:
+        told = affected is not None and not hide_effects
         return RobotLog.build(
             time=np.arange(n_steps, dtype=float),
             odometry=command,
@@ -94,7 +101,8 @@ def simulate_landmark_field(
             start_mean=_START,
             start_std=_START_STD,
             true_poses=path,
-            true_theta=truth,
+            true_theta=affected.true_theta if affected and told else truth,
+            attributes={"effects": affected.described()} if affected and told and effects else None,
             robot="robot in a landmark field (simulated)",
             source=f"pmcl.robots.landmark_field, seed {seed}",
             seed=seed,
@@ -104,7 +112,21 @@ def simulate_landmark_field(
         )
 
     used = [name for name, wanted in (("range", ranges), ("bearing", bearings)) if wanted]
-    return logged(draw_sightings(sensor, logged(dict.fromkeys(used, seen)), truth, path, rng))
+    empty = logged(dict.fromkeys(used, _seen(positions, path, reach)))
+    affected = affected_by(effects, empty, seed, motion, sensor, truth)
+    if affected.moves_differently:
+        path, command = affected.drive(empty, start, _driver(), rng)
+        empty = logged(dict.fromkeys(used, _seen(positions, path, reach)))
+    return logged(draw_sightings(affected.tables(empty).sensors[0], empty, path, rng), affected)
+
+
+def _driver() -> WaypointDriver:
+    return WaypointDriver(_WAYPOINTS, step=0.5, turn=0.6, reached=0.8, aim=0.8)
+
+
+def _seen(positions: np.ndarray, path: np.ndarray, reach: float) -> np.ndarray:
+    distance = np.hypot(*(positions - path[:, None, :2]).transpose(2, 0, 1))
+    return np.where(distance <= reach, 1.0, np.nan)
 
 
 def _border(count: int) -> np.ndarray:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.sensors import LandmarkNoise
 from pmcl.robots.simulate import simulate_readings
 
 __all__ = ["draw_sightings"]
@@ -16,19 +15,15 @@ __all__ = ["draw_sightings"]
 Float = NDArray[np.float64]
 
 
-def draw_sightings(
-    sensor: LandmarkNoise, log: RobotLog, theta: Mapping[str, float], path: Float, rng: np.random.Generator
-) -> dict[str, Float]:
+def draw_sightings(table: Any, log: RobotLog, path: Float, rng: np.random.Generator) -> dict[str, Float]:
     """Let the model itself make the readings.
 
     Parameters
     ----------
-    sensor : LandmarkNoise
-        Says what is read of a landmark.
+    table : NamedTuple
+        Landmark sightings under the true parameters; its own readings say only what is read when.
     log : RobotLog
-        A log in which each landmark that is seen has some reading; its values do not matter.
-    theta : mapping of str to float
-        True parameters, those of `sensor` among them.
+        The log that the table was made from.
     path : ndarray, shape (T, 3)
         True poses [m, m, rad].
     rng : numpy.random.Generator
@@ -37,16 +32,16 @@ def draw_sightings(
     Returns
     -------
     dict of str to ndarray, shape (T, J)
-        For each of ``range`` [m], ``bearing`` [rad] and ``size`` [pixel] that the sensor reads; NaN where the landmark
-        was not seen.
+        For each of ``range`` [m], ``bearing`` [rad] and ``size`` [pixel] that is read; NaN where the landmark was not
+        seen.
     """
-    truth = np.array([theta[parameter.name] for parameter in sensor.parameters])
-    table = simulate_readings(sensor.bind(log).table(truth), path, rng)
+    drawn = simulate_readings(table, path, rng)
     assert log.landmarks is not None
     shape = (log.n_steps, len(log.landmarks.positions))
     readings = {}
-    for name in ("range", "bearing", "size"):
-        if getattr(sensor, name):
+    held = {"range": log.landmark_range, "bearing": log.landmark_bearing, "size": log.landmark_size}
+    for name, values in held.items():
+        if values is not None:
             readings[name] = np.full(shape, np.nan)
-            readings[name][table.time, table.landmark] = getattr(table, name)
+            readings[name][drawn.time, drawn.landmark] = getattr(drawn, name)
     return readings

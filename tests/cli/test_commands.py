@@ -216,3 +216,18 @@ def test_convert_barfoot(run, shared_data, tmp_path):
     log = pmcl.read_log(path)
     assert log.n_steps == 61
     assert np.isinf(log.start_std).all()
+
+
+def test_simulate_with_effects(run, refused, tmp_path):
+    path = tmp_path / "log.nc"
+    arguments = ("simulate", "amigobot", "-o", path, "--duration", "40", "--seed", "3", "--effect", "beam-bias@2=0.06")
+    result = run(*arguments, "--effect", "odometry-turn-scale")
+    assert result.exit_code == 0, result.output
+    assert "beam_bias = 0.06, odometry_turn_scale = 0.1" in result.stdout
+    log = pmcl.read_log(path)
+    expected = pmcl.simulate_amigobot(40.0, 3, effects=["beam-bias@2=0.06", "odometry-turn-scale"])
+    assert log.fingerprint() == expected.fingerprint()
+    assert "beam-bias" in log.dataset.attrs["effects"]
+    assert run(*arguments, "--hide-effects").exit_code == 0
+    assert "effects" not in pmcl.read_log(path).dataset.attrs
+    assert "did you mean 'range-bias'" in refused(*arguments[:4], "--effect", "rnge-bias")

@@ -197,7 +197,7 @@ class Effect:
         if whole and not any(all(tuple(one[key]) == plain[key] for key in plain) for one in offered):
             raise ModelError(
                 f"{log.where}: effect {self.name} expected one of the {len(offered)} places that the log has, but got "
-                f"{dict(where)}; count from 0"
+                f"{', '.join(f'{v:g}' for values in plain.values() for v in values)}; count from 0"
             )
         integers = {key: tuple(int(v) if whole else v for v in values) for key, values in plain.items()}
         made = replace(self, where=integers)
