@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmcl.cli.application import on_interrupt
-from pmcl.cli.options import output_option, progress_option, seed_option, wants_progress, writable_file
+from pmcl.cli.options import (
+    output_option,
+    progress_option,
+    protect_inputs,
+    seed_option,
+    wants_progress,
+    writable_file,
+)
 from pmcl.cli.report import tell
 from pmcl.errors import PmclError
 
@@ -94,7 +101,7 @@ def calibrate(
             f"--{foreign[0].replace('_', '-')} belongs to the method particle-gibbs: leave it out", ctx
         )
     if output is not None:
-        _protect(ctx, output, (*logs, *([model_file] if model_file else [])))
+        protect_inputs(ctx, output, (*logs, *([model_file] if model_file else [])))
 
     from pmcl.logs.robot_log import RobotLog
 
@@ -145,11 +152,3 @@ def _model(path: str | None, log: RobotLog, outliers: bool) -> RobotModel:
     from pmcl.models.robot_model import default_model
 
     return default_model(log, outliers=outliers) if path is None else read_model(path, log)
-
-
-def _protect(ctx: click.Context, output: Path, inputs: tuple[str, ...]) -> None:
-    for path in inputs:
-        if output.resolve() == Path(path).resolve():
-            raise click.UsageError(
-                f"expected an output other than the input, but both are {path}: name another file", ctx
-            )

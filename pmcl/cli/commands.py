@@ -6,6 +6,7 @@ import click
 
 from pmcl.cli.application import Application
 from pmcl.cli.calibrate import calibrate
+from pmcl.cli.compare import compare
 from pmcl.cli.convert import convert
 from pmcl.cli.demo import demo
 from pmcl.cli.report import report
@@ -24,5 +25,5 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, report):
+for command in (demo, simulate, convert, calibrate, compare, report):
     pmcl.add_command(command)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ __all__ = [
     "output_option",
     "parameter_values",
     "progress_option",
+    "protect_inputs",
     "seed_option",
     "wants_progress",
     "writable_file",
@@ -43,6 +44,15 @@ def output_folder(ctx: click.Context, param: click.Parameter, path: Path) -> Pat
             f"expected a folder that can be written, but {path} cannot: choose another", ctx, param
         )
     return path
+
+
+def protect_inputs(ctx: click.Context, output: Path, inputs: Iterable[str]) -> None:
+    """Check that the output is none of the inputs."""
+    for path in inputs:
+        if output.resolve() == Path(path).resolve():
+            raise click.UsageError(
+                f"expected an output other than the input, but both are {path}: name another file", ctx
+            )
 
 
 def parameter_values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:

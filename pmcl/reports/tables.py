@@ -12,7 +12,7 @@ from pmcl.posterior.compat import Posterior
 from pmcl.posterior.diagnostics import ESS_LIMIT, R_HAT_LIMIT, summarize
 from pmcl.posterior.estimates import map_estimate
 
-__all__ = ["Row", "Table", "parameter_table", "rounded", "summary_text"]
+__all__ = ["Row", "Table", "aligned", "parameter_table", "rounded", "summary_text"]
 
 _UNKNOWN = "-"
 
@@ -137,13 +137,30 @@ def summary_text(data: Posterior, summary: xr.Dataset | None = None) -> str:
         If the posterior holds no draws.
     """
     table = parameter_table(data, summarize(data) if summary is None else summary, complete=False)
+    # Names and units to the left, numbers to the right.
+    return aligned(table, left=2)
+
+
+def aligned(table: Table, left: int) -> str:
+    """Write a table for the terminal.
+
+    Parameters
+    ----------
+    table : Table
+    left : int
+        How many columns, from the first, stand at the left of their width; the others stand at the right.
+
+    Returns
+    -------
+    str
+        Lines without a final line break. A star marks rows that miss a limit.
+    """
     lines = [table.columns, *(row.cells for row in table.rows)]
     widths = [max(len(line[index]) for line in lines) for index in range(len(table.columns))]
     marks = ["", *(" *" if row.short else "" for row in table.rows)]
-    # Names and units to the left, numbers to the right.
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if index < 2 else cell.rjust(width)
+            cell.ljust(width) if index < left else cell.rjust(width)
             for index, (cell, width) in enumerate(zip(line, widths, strict=True))
         )
         + mark

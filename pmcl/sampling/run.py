@@ -23,6 +23,7 @@ from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers
 from pmcl.sampling.move import ParticleGibbsMove
 from pmcl.sampling.stages import Plan, Stage, lost_chains, plan_stages, restarted, tuned_transports
 from pmcl.sampling.state import into_blob
+from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.sweep import included, start_chain
 from pmcl.sampling.transport import Transport
 
@@ -30,6 +31,8 @@ __all__ = ["run_ensemble", "run_particle_gibbs", "walker_pool"]
 
 _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
+# A run that is stopped by the clock has at least so many draws: what R-hat takes.
+_LEAST_DRAWS = 4
 # Blob fields and the names they have in ArviZ's sample_stats.
 _STATISTICS = {
     "accepted": "acceptance_rate",
@@ -100,6 +103,7 @@ def run_particle_gibbs(
     resume: bool = False,
     progress: bool = False,
     settings: dict[str, Any] | None = None,
+    stopwatch: Stopwatch | None = None,
 ) -> Chains:
     """Calibrate by particle Gibbs (Table 1 of the paper).
 
@@ -123,6 +127,9 @@ def run_particle_gibbs(
         Show emcee's progress bars.
     settings : dict, optional
         Further attributes of the result.
+    stopwatch : Stopwatch, optional
+        Notes the time of every step, and ends the last stage when its time is over; how many draws there are then
+        depends on the machine.
 
     Returns
     -------
@@ -152,9 +159,10 @@ def run_particle_gibbs(
             sampler = emcee.EnsembleSampler(
                 n_chains, bound.dimension, _forbidden, pool=workers, moves=[move], backend=backend
             )
-            state = _advance(sampler, state, stage.steps, done, progress, stage.name)
+            last = stage is stages[-1]
+            state = _advance(sampler, state, stage.steps, done, progress, stage.name, stopwatch, last)
             backends.append(backend)
-            if stage is stages[-1]:
+            if last:
                 break
             lost = lost_chains(backend, stage, longest)
             restarts += len(lost)
@@ -184,6 +192,7 @@ def run_ensemble(
     resume: bool = False,
     progress: bool = False,
     settings: dict[str, Any] | None = None,
+    stopwatch: Stopwatch | None = None,
 ) -> Chains:
     """Calibrate with emcee's ensemble moves on the pseudo-marginal target; every walker is returned as a chain.
 
@@ -203,7 +212,7 @@ def run_ensemble(
         Trajectories per walker that are kept.
     moves : emcee moves, optional
         emcee's StretchMove when left out.
-    pool, checkpoint, resume, progress, settings
+    pool, checkpoint, resume, progress, settings, stopwatch
         As for :func:`run_particle_gibbs`.
 
     Raises
@@ -234,7 +243,7 @@ def run_ensemble(
             sampler = emcee.EnsembleSampler(
                 n_walkers, bound.dimension, target, pool=workers, moves=moves, backend=backend, blobs_dtype=target.dtype
             )
-            state = _advance(sampler, state, steps, done, progress, name)
+            state = _advance(sampler, state, steps, done, progress, name, stopwatch, name == "draws")
             backends.append(backend)
     return _collect(bound, backends, keep_every, told | (settings or {}))
 
@@ -245,19 +254,33 @@ def _backend(checkpoint: str | None, name: str, keep_every: int) -> tuple[StageB
     return CheckpointBackend(checkpoint, name, keep_every), stored_steps(checkpoint, name)
 
 
-def _advance(sampler: Any, state: State | None, steps: int, done: int, progress: bool, name: str) -> State:
+def _advance(
+    sampler: Any,
+    state: State | None,
+    steps: int,
+    done: int,
+    progress: bool,
+    name: str,
+    stopwatch: Stopwatch | None,
+    last: bool,
+) -> State:
     """Bring a stage to its full length, from the backend's last step when there is one."""
     if done:
         state = sampler.backend.get_last_sample()
     if done >= steps:
         return state
-    return sampler.run_mcmc(
+    made = sampler.sample(
         state,
-        steps - done,
+        iterations=steps - done,
         progress=progress,
         progress_kwargs={"desc": f"{name:<9}"},
         skip_initial_state_check=True,
     )
+    for after in made:
+        state = after
+        if stopwatch is not None and not stopwatch.step() and last and sampler.backend.iteration >= _LEAST_DRAWS:
+            break
+    return state
 
 
 def _settings_of(stage: Stage) -> dict[str, Any]:
@@ -277,6 +300,7 @@ def _collect(bound: BoundModel, backends: Sequence[StageBackend], keep_every: in
     }
     paths = np.moveaxis(final.kept_paths(), 0, 1)
     split = included(bound, np.moveaxis(paths, 2, 0), max(bound.lengths))
+    told["draws"] = int(final.iteration)
     told["dead_sweeps"] = int(blobs["dead"][-1].sum())
     warm_theta = np.concatenate([backend.get_chain() for backend in backends[:-1]])
     warm_joint = np.concatenate([backend.get_blobs()["log_joint"] for backend in backends[:-1]])

@@ -27,8 +27,8 @@ def python(code):
 
 def test_version_and_help(run):
     assert run("--version").stdout == f"pmcl {pmcl.__version__}\n"
-    commands = ("", "simulate", "simulate amigobot", "simulate aibo", "convert", "calibrate", "report", "demo")
-    for command in commands:
+    simulators = ("simulate", "simulate amigobot", "simulate aibo")
+    for command in ("", *simulators, "convert", "calibrate", "compare", "report", "demo"):
         result = run(*command.split(), "--help")
         assert result.exit_code == 0
         assert result.stdout.startswith("Usage: ")

@@ -1,0 +1,74 @@
+"""``pmcl compare``: which method finds the posterior of a log soonest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmcl.cli.application import NOT_CONVERGED
+from pmcl.cli.options import output_option, progress_option, protect_inputs, seed_option, wants_progress
+
+__all__ = ["compare"]
+
+
+@click.command()
+@click.argument("log", metavar="LOG.nc")
+@click.option(
+    "--methods",
+    default="conditional,smoothing,ensemble",
+    show_default=True,
+    metavar="NAME[:N],...",
+    help="Methods, each with its number of particles if you like: conditional:25 (or particle-gibbs:25), plain:25, "
+    "smoothing:500, ensemble:200.",
+)
+@output_option("The page to write (HTML, one file).")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Time of each method by the clock, burn-in included; the reference run takes twice as long.",
+)
+@click.option("--chains", type=click.IntRange(min=2), default=4, show_default=True, help="Chains.")
+@click.option("--model", "model_file", metavar="FILE.toml", help="Model file; without it the paper's model.")
+@seed_option()
+@progress_option()
+@click.pass_context
+def compare(
+    ctx: click.Context,
+    /,
+    log: str,
+    methods: str,
+    output: Path,
+    seconds: float,
+    chains: int,
+    model_file: str | None,
+    seed: int,
+    no_progress: bool,
+) -> None:
+    """Compare methods of calibration on one log: R-hat, effective draws and error against time.
+
+    Exit status 3 when the reference run has not converged; the page is written all the same.
+    """
+    protect_inputs(ctx, output, (log, *([model_file] if model_file else [])))
+    from pmcl.comparison.methods import parse_methods
+
+    wanted = parse_methods(methods)
+    from pmcl.comparison.compare import compare as run
+    from pmcl.logs.robot_log import RobotLog
+    from pmcl.models.model_file import read_model
+    from pmcl.reports.comparison_report import comparison_text, comparison_verdict, write_comparison
+
+    read = RobotLog.read(log)
+    model = read_model(model_file, read) if model_file else None
+    progress = wants_progress(no_progress)
+    made = run(read, wanted, model, seconds=seconds, chains=chains, seed=seed, progress=progress)
+    write_comparison(made, output)
+    judged = comparison_verdict(made)
+    click.echo(comparison_text(made))
+    click.echo()
+    for line in (judged.message, *judged.advice):
+        click.echo(line)
+    click.echo(f"report: {output}")
+    ctx.exit(0 if judged.converged else NOT_CONVERGED)

@@ -1,0 +1,228 @@
+"""Run several methods on one log, each for the same time, and measure them against a long reference run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.comparison.curves import Curve, Reference, learning_curve, reference_of
+from pmcl.comparison.methods import Method, as_methods, draw
+from pmcl.errors import PmclError, SamplingError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model
+from pmcl.posterior.diagnostics import R_HAT_LIMIT
+from pmcl.sampling.chains import Chains
+from pmcl.sampling.run import run_particle_gibbs
+from pmcl.sampling.stages import Plan
+from pmcl.sampling.stopwatch import Stopwatch
+
+__all__ = ["Comparison", "MethodResult", "compare"]
+
+Float = NDArray[np.float64]
+
+# More particles than a method needs by itself: the reference should owe nothing to their number.
+_REFERENCE = Method("conditional", 50)
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """What one method made of its time.
+
+    Attributes
+    ----------
+    method : Method
+    chains, draws : int
+        Chains (for the ensemble, walkers), and draws of each after burn-in.
+    burn_in, burn_in_cpu : float
+        Seconds before the first draw, by the clock and of all cores together.
+    mean, sd : ndarray, shape (d,)
+        Of its draws.
+    curve : Curve
+        How it got there; the last point is what all draws give.
+    """
+
+    method: Method
+    chains: int
+    draws: int
+    burn_in: float
+    burn_in_cpu: float
+    mean: Float
+    sd: Float
+    curve: Curve
+
+    @property
+    def ess_per_cpu_second(self) -> float:
+        """Effective draws of the worst parameter for each CPU second, burn-in left out."""
+        return float(self.curve.ess[-1] / max(self.curve.cpu[-1] - self.burn_in_cpu, 1e-9))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Methods on one log.
+
+    Attributes
+    ----------
+    log : str
+        What the log is called.
+    names, units : tuple of str
+        Parameters.
+    truth : ndarray of shape (d,) or None
+        True parameters, when the log is simulated.
+    reference : Reference
+        The posterior by a longer run of another seed.
+    reference_method : Method
+    reference_seconds : float
+        How long that run took by the clock.
+    results : tuple of MethodResult
+        In the order asked for.
+    seconds : float
+        Time that each method had.
+    chains, seed : int
+        Settings.
+    """
+
+    log: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    truth: Float | None
+    reference: Reference
+    reference_method: Method
+    reference_seconds: float
+    results: tuple[MethodResult, ...]
+    seconds: float
+    chains: int
+    seed: int
+
+    @property
+    def converged(self) -> bool:
+        """Whether the reference can be believed."""
+        return self.reference.r_hat <= R_HAT_LIMIT
+
+
+def compare(
+    log: RobotLog,
+    methods: str | Sequence[Method],
+    model: RobotModel | None = None,
+    *,
+    seconds: float = 60.0,
+    chains: int = 4,
+    seed: int = 0,
+    progress: bool = False,
+) -> Comparison:
+    """Compare methods by what they reach in the same time.
+
+    Parameters
+    ----------
+    log : RobotLog
+    methods : str or sequence of Method
+        As :func:`pmcl.comparison.methods.parse_methods` reads them, e.g. ``"conditional:25,smoothing:500,ensemble"``.
+    model : RobotModel, optional
+        The log's default model when left out.
+    seconds : float
+        Wall time of each method, burn-in included [s]; the reference takes twice as long. A burn-in that takes longer
+        is finished all the same.
+    chains : int
+        Chains of each method, at least two.
+    seed : int
+        Seeds of all runs follow from it. How many draws fit into the time depends on the machine.
+    progress : bool
+        Show a progress bar for each method.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    PmclError
+        When the methods cannot be read, `seconds` or `chains` are not usable, log and model do not fit each other, or
+        no chain can start.
+    """
+    wanted = as_methods(methods)
+    if not (0.0 < seconds < np.inf) or chains < 2 or not wanted:
+        raise SamplingError(
+            "expected a positive time, at least two chains and at least one method, but got "
+            f"{seconds:g} s, {chains} chains and {len(wanted)} methods; choose such"
+        )
+    bound = (default_model(log) if model is None else model).bind(log)
+    known = log.true_theta or {}
+    truth = np.array([known[name] for name in bound.names]) if set(bound.names) <= set(known) else None
+    first, *seeds = (int(s) for s in np.random.SeedSequence(seed).generate_state(1 + len(wanted)))
+    _compile(bound, wanted)
+    drawn, stopwatch = _timed(_REFERENCE, bound, chains, first, 2.0 * seconds, "reference", progress)
+    reference = reference_of(drawn.theta)
+    results = []
+    for method, own in zip(wanted, seeds, strict=True):
+        made, clock = _timed(method, bound, chains, own, seconds, str(method), progress)
+        results.append(_measured(method, made, clock, reference, truth))
+    return Comparison(
+        log=log.robot or log.where,
+        names=bound.names,
+        units=tuple(parameter.unit for parameter in bound.parameters),
+        truth=truth,
+        reference=reference,
+        reference_method=_REFERENCE,
+        reference_seconds=stopwatch.wall[-1],
+        results=tuple(results),
+        seconds=seconds,
+        chains=chains,
+        seed=seed,
+    )
+
+
+def _compile(bound: BoundModel, methods: Sequence[Method]) -> None:
+    """Run every kind of method for a moment, so that nobody's time goes into compiling or importing."""
+    rows = max(bound.lengths)
+    short = Plan(particles=10, burn_in_particles=10, data_rate=rows, settle=2, tuning=(4, 4), draws=4, trajectories=1)
+    # What is wrong with the log will be said by the run that counts.
+    with suppress(PmclError):
+        run_particle_gibbs(bound, short, 2, 0)
+    if any(method.name == "ensemble" for method in methods):
+        with suppress(PmclError):
+            draw(Method("ensemble", 10), bound, 2, 0, Stopwatch(limit=0.0))
+
+
+def _timed(
+    method: Method, bound: BoundModel, chains: int, seed: int, seconds: float, label: str, progress: bool
+) -> tuple[Chains, Stopwatch]:
+    with _bar(label, seconds, progress) as tell:
+        stopwatch = Stopwatch(seconds, tell)
+        return draw(method, bound, chains, seed, stopwatch), stopwatch
+
+
+def _measured(
+    method: Method, made: Chains, clock: Stopwatch, reference: Reference, truth: Float | None
+) -> MethodResult:
+    n_draws = made.n_draws
+    wall, cpu = np.array(clock.wall), np.array(clock.cpu)
+    flat = made.theta.reshape(-1, made.theta.shape[-1])
+    return MethodResult(
+        method=method,
+        chains=made.n_chains,
+        draws=n_draws,
+        burn_in=float(wall[-n_draws - 1]),
+        burn_in_cpu=float(cpu[-n_draws - 1]),
+        mean=flat.mean(axis=0),
+        sd=flat.std(axis=0, ddof=1),
+        curve=learning_curve(made.theta, wall[-n_draws:], cpu[-n_draws:], reference, truth),
+    )
+
+
+@contextmanager
+def _bar(label: str, seconds: float, progress: bool) -> Iterator[Callable[[float], None] | None]:
+    """Give a function that moves a bar to a number of seconds."""
+    if not progress:
+        yield None
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=seconds, desc=f"{label:<16}", unit="s", bar_format="{l_bar}{bar}| {n:.0f}/{total:.0f} s") as bar:
+
+        def move(now: float) -> None:
+            bar.update(min(now, seconds) - bar.n)
+
+        yield move

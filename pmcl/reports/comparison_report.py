@@ -1,0 +1,187 @@
+"""One page about a comparison of methods: who found the posterior, how well, how soon."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+
+from pmcl.comparison.compare import Comparison, MethodResult
+from pmcl.posterior.diagnostics import R_HAT_LIMIT
+from pmcl.reports.comparison_figures import plot_comparison, plot_means
+from pmcl.reports.html import embedded, page, write_page
+from pmcl.reports.tables import Row, Table, aligned, rounded
+
+__all__ = [
+    "ComparisonVerdict",
+    "comparison_table",
+    "comparison_text",
+    "comparison_verdict",
+    "expected_error",
+    "write_comparison",
+]
+
+# A mean that is further from the reference than this many standard errors of the two is another answer, not noise.
+_FAR = 4.0
+
+
+class ComparisonVerdict(NamedTuple):
+    """What the comparison comes to.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether the reference can be believed.
+    message : str
+        One sentence.
+    advice : tuple of str
+        What else a reader should know.
+    """
+
+    converged: bool
+    message: str
+    advice: tuple[str, ...]
+
+
+def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> None:
+    """Write one self-contained HTML file about a comparison.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    path : path-like
+        An older file of that name stays whole until the new one is complete.
+
+    Raises
+    ------
+    PosteriorError
+        If the file cannot be written.
+    """
+    figures = [
+        {
+            "title": "Convergence against time",
+            "source": embedded(plot_comparison(comparison)),
+            "caption": (
+                "Each curve begins where the method's burn-in ends. Left above: R-hat of the worst parameter. Right "
+                "above: its effective sample size. Below: distance of the posterior mean from that of the reference "
+                f"{comparison.reference_method}, and from the true parameters where they are known, in standard "
+                "deviations of the posterior. The distance from the truth does not go to zero: the posterior itself "
+                "is about one standard deviation away from it."
+            ),
+        },
+        {
+            "title": "Where the means ended",
+            "source": embedded(plot_means(comparison)),
+            "caption": (
+                "Posterior mean and standard deviation of each parameter, relative to the reference: 0 is its mean, "
+                "the grey band its standard deviation. A method whose bars lie elsewhere samples another density."
+            ),
+        },
+    ]
+    settings = [
+        ("log", comparison.log),
+        ("time of each method", f"{comparison.seconds:g} s, burn-in included"),
+        ("chains", str(comparison.chains)),
+        ("seed", str(comparison.seed)),
+        ("reference", f"{comparison.reference_method}, {comparison.reference_seconds:.0f} s, another seed"),
+        ("R-hat of the reference", f"{comparison.reference.r_hat:.4f}"),
+        ("effective draws of the reference", f"{comparison.reference.ess:.0f}"),
+    ]
+    text = page(
+        "comparison.html.j2",
+        title="Methods compared",
+        verdict=comparison_verdict(comparison),
+        table=comparison_table(comparison),
+        figures=figures,
+        methods=[(str(result.method), result.method.description) for result in comparison.results],
+        settings=settings,
+    )
+    write_page(text, path)
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Put the results into rows of text; what misses the limit of R-hat, or the reference, is marked."""
+    columns = ["method", "chains", "draws", "burn-in [s]", "time [s]", "CPU [s]", "R-hat", "ESS", "ESS per CPU s"]
+    columns += ["error [sd]", "expected [sd]"]
+    if comparison.truth is not None:
+        columns.append("from truth [sd]")
+    rows = []
+    for result in comparison.results:
+        curve = result.curve
+        cells = [
+            str(result.method),
+            str(result.chains),
+            str(result.draws),
+            f"{result.burn_in:.1f}",
+            f"{curve.wall[-1]:.1f}",
+            f"{curve.cpu[-1]:.1f}",
+            _number(curve.r_hat[-1], 3),
+            _number(curve.ess[-1], 0),
+            f"{result.ess_per_cpu_second:.2g}" if np.isfinite(curve.ess[-1]) else "-",
+            rounded(float(curve.error[-1]), 0.1 * float(curve.error[-1])),
+            f"{expected_error(comparison, result):.2g}" if np.isfinite(curve.ess[-1]) else "-",
+        ]
+        if comparison.truth is not None:
+            cells.append(_number(curve.error_of_truth[-1], 2))
+        short = not curve.r_hat[-1] <= R_HAT_LIMIT or _elsewhere(comparison, result)
+        rows.append(Row(tuple(cells), short))
+    return Table(tuple(columns), tuple(rows), (6, 9))
+
+
+def expected_error(comparison: Comparison, result: MethodResult) -> float:
+    """Return the distance from the reference's mean that Monte Carlo error alone would give [sd of the posterior].
+
+    Both errors count: the method's, one over the root of its effective sample size, and the reference's.
+    """
+    own = 1.0 / np.sqrt(max(float(result.curve.ess[-1]), 1.0))
+    return float(np.hypot(own, comparison.reference.error))
+
+
+def comparison_verdict(comparison: Comparison) -> ComparisonVerdict:
+    """Say which method won, whether the reference is sound, and who samples something else."""
+    reference = comparison.reference
+    right = [
+        result
+        for result in comparison.results
+        if result.curve.r_hat[-1] <= R_HAT_LIMIT and not _elsewhere(comparison, result)
+    ]
+    if not comparison.converged:
+        message = (
+            f"The reference has not converged (R-hat {reference.r_hat:.3f}, at most {R_HAT_LIMIT} is wanted): errors "
+            "against it say little."
+        )
+    elif right:
+        best = max(right, key=lambda result: result.ess_per_cpu_second)
+        message = (
+            f"{best.method} drew most: {best.ess_per_cpu_second:.3g} effective draws of the worst parameter per CPU "
+            f"second; {len(right)} of {len(comparison.results)} methods reached the posterior in "
+            f"{comparison.seconds:g} s."
+        )
+    else:
+        message = f"No method reached the posterior in {comparison.seconds:g} s."
+    advice = [] if comparison.converged else ["Give more time: --seconds."]
+    for result in comparison.results:
+        r_hat = result.curve.r_hat[-1]
+        if not r_hat <= R_HAT_LIMIT:
+            advice.append(f"{result.method} has not converged: R-hat {_number(r_hat, 3)}.")
+        elif comparison.converged and _elsewhere(comparison, result):
+            advice.append(
+                f"{result.method} has converged, but its mean is {result.curve.error[-1]:.2g} posterior standard "
+                f"deviations off where {expected_error(comparison, result):.2g} are expected: it samples another "
+                "density."
+            )
+    return ComparisonVerdict(comparison.converged, message, tuple(advice))
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return the table as lines for the terminal; a star marks what misses a limit."""
+    return aligned(comparison_table(comparison), left=1)
+
+
+def _elsewhere(comparison: Comparison, result: MethodResult) -> bool:
+    return bool(result.curve.error[-1] > _FAR * expected_error(comparison, result))
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "-"

@@ -1,0 +1,105 @@
+"""A comparison from the log to its page: short runs of real methods, and made-up ones where the answer is known."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmcl.comparison.compare import Comparison, MethodResult, compare
+from pmcl.comparison.curves import learning_curve, reference_of
+from pmcl.comparison.methods import Method, parse_methods
+from pmcl.reports.comparison_report import comparison_table, comparison_text, comparison_verdict, write_comparison
+from pmcl.robots.amigobot import simulate_amigobot
+
+TRUTH = np.array([0.05, 0.3])
+
+
+def made_up(method, theta, reference, seconds_per_draw=0.01):
+    n_draws = theta.shape[1]
+    time = 2.0 + seconds_per_draw * np.arange(1, n_draws + 1)
+    flat = theta.reshape(-1, theta.shape[-1])
+    curve = learning_curve(theta, time, 2.0 * time, reference, TRUTH)
+    return MethodResult(method, len(theta), n_draws, 2.0, 4.0, flat.mean(axis=0), flat.std(axis=0), curve)
+
+
+@pytest.fixture
+def comparison(rng):
+    """Three methods: a good one, one of another density, and one that has not converged."""
+    good = rng.normal([0.051, 0.31], [0.004, 0.02], (4, 1000, 2))
+    reference = reference_of(rng.normal([0.051, 0.31], [0.004, 0.02], (4, 2000, 2)))
+    inflated = rng.normal([0.055, 0.34], [0.004, 0.02], (4, 1000, 2))
+    apart = good[:, :200] + 0.01 * np.arange(4)[:, None, None]
+    results = [
+        made_up(method, theta, reference)
+        for method, theta in zip(parse_methods("conditional,smoothing:50,plain"), (good, inflated, apart), strict=True)
+    ]
+    return Comparison(
+        log="a robot", names=("sigma_a", "sigma_b"), units=("m", "rad"), truth=TRUTH, reference=reference,
+        reference_method=Method("conditional", 50), reference_seconds=20.0, results=tuple(results), seconds=10.0,
+        chains=4, seed=3,
+    )  # fmt: skip
+
+
+def test_the_verdict_tells_the_best_from_the_wrong_and_the_unfinished(comparison):
+    verdict = comparison_verdict(comparison)
+    assert verdict.converged
+    assert verdict.message.startswith("conditional:25 drew most")
+    assert "1 of 3 methods reached the posterior" in verdict.message
+    assert any(line.startswith("smoothing:50 has converged, but") for line in verdict.advice)
+    assert any(line.startswith("plain:25 has not converged") for line in verdict.advice)
+    assert [row.short for row in comparison_table(comparison).rows] == [False, True, True]
+
+
+def test_the_numbers_are_those_of_the_draws(comparison):
+    good, inflated, _ = comparison.results
+    # 4000 draws in 10 s of clock, twice that of CPU.
+    assert good.ess_per_cpu_second == pytest.approx(4000.0 / 20.0, rel=0.15)
+    assert inflated.curve.error[-1] == pytest.approx(np.sqrt((1.0 + 1.5**2) / 2.0), abs=0.1)
+    lines = comparison_text(comparison).splitlines()
+    assert len({len(line.removesuffix(" *")) for line in lines}) == 1
+    assert lines[0].split()[0] == "method"
+    assert [line.endswith(" *") for line in lines[1:]] == [False, True, True]
+
+
+def test_a_reference_that_has_not_converged_spoils_the_verdict(comparison):
+    poor = replace(comparison, reference=comparison.reference._replace(r_hat=1.2))
+    verdict = comparison_verdict(poor)
+    assert not verdict.converged
+    assert "The reference has not converged (R-hat 1.200" in verdict.message
+    assert "--seconds" in verdict.advice[0]
+
+
+def test_without_truth_there_is_no_column_of_it(comparison, tmp_path):
+    curves = [result.curve._replace(error_of_truth=np.full_like(result.curve.error, np.nan))
+              for result in comparison.results]  # fmt: skip
+    results = tuple(replace(result, curve=curve) for result, curve in zip(comparison.results, curves, strict=True))
+    blind = replace(comparison, truth=None, results=results)
+    assert not any("truth" in column for column in comparison_table(blind).columns)
+    write_comparison(blind, tmp_path / "page.html")
+
+
+def test_real_methods_end_on_one_page(tmp_path):
+    log = simulate_amigobot(20.0, seed=2)
+    made = compare(log, "conditional:8,plain:8,ensemble:20", seconds=0.5, chains=2, seed=1)
+    assert [str(result.method) for result in made.results] == ["conditional:8", "plain:8", "ensemble:20"]
+    assert made.names == ("sigma_forward", "sigma_left", "sigma_turn", "sigma_range")
+    np.testing.assert_allclose(made.truth, [log.true_theta[name] for name in made.names])
+    for result in made.results:
+        assert result.draws >= 4
+        assert 0.0 < result.burn_in < result.curve.wall[-1]
+        assert np.all(np.diff(result.curve.wall) > 0.0)
+        assert np.isfinite(result.curve.error).all()
+    path = tmp_path / "page.html"
+    write_comparison(made, path)
+    text = path.read_text(encoding="utf-8")
+    for result in made.results:
+        assert str(result.method) in text
+        assert result.method.description.replace("'", "&#39;") in text
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    assert len(pictures) == 2
+    assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
+    assert not re.search(r"https?://|@import|url\(|<script|<link", text)
