@@ -59,6 +59,22 @@ def test_random_rays_agree_with_shapely(corners, free, rng):
     np.testing.assert_allclose(_cast(walls, poses), expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+@pytest.mark.parametrize("width", [0.0, 1e-6, 0.01, 0.3, 3.0])
+def test_walls_that_no_ray_of_a_bundle_can_meet_are_left_out_without_a_trace(width, offset, rng):
+    """Bundles as narrow and as wide as a filter's particles; each ray must find what it finds in any other company."""
+    walls = _with_free_walls(WallMap.from_polygon(_star(rng, 9)), rng, 4)
+    shift = np.array([offset, -offset, 0.0])
+    moved = WallMap(walls.segments + shift[:2])
+    company = np.array([[40.0, 40.0, 0.0], [-40.0, -40.0, 2.0], [40.0, -40.0, 4.0]])
+    for centre in _poses(rng, 30, 4.0):
+        bundle = centre + width * rng.uniform(-1.0, 1.0, (20, 3))
+        among_others = _cast(walls, np.concatenate([bundle, company]))[:20]
+        np.testing.assert_allclose(among_others, _shapely_lengths(walls.segments, bundle), rtol=1e-9, atol=1e-9)
+        alone = _cast(moved, bundle + shift)
+        np.testing.assert_allclose(alone, among_others, rtol=1e-9, atol=1e-9 + 1e-9 * offset)
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 @given(
     segments=st.lists(

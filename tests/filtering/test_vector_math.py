@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, maximum, sincos_into, total
+from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, extremes, log_into, maximum, sincos_into, total
 
 EPS = np.finfo(float).eps
 SMALLEST_NORMAL = np.finfo(float).tiny
@@ -77,6 +77,7 @@ def test_no_element_is_left_out_at_any_length(n, rng):
     np.testing.assert_allclose(_atan2(x, 1.0), np.arctan(x), rtol=4 * EPS)
     assert total(x) == pytest.approx(x.sum(), rel=n * EPS)
     assert maximum(x) == x.max()
+    assert extremes(x) == (x.min(), x.max())
 
 
 def test_log_agrees_with_numpy_over_all_normal_numbers(rng):
@@ -157,3 +158,15 @@ def test_maximum_of_infinities():
     assert maximum(np.array([-np.inf, -np.inf])) == -np.inf
     assert maximum(np.array([-np.inf, -3.0, -1e300])) == -3.0
     assert maximum(np.array([-1.0] * 40 + [-0.5])) == -0.5
+
+
+def test_maximum_of_no_number_is_no_number():
+    """A density that is no number must not hide among the others."""
+    for x in ([1.0, np.nan, np.inf], [np.nan], [-np.inf, np.nan]):
+        assert np.isnan(maximum(np.array(x)))
+
+
+def test_extremes_of_zeros_and_infinities():
+    assert extremes(np.array([0.0, -0.0, 5e-324])) == (0.0, 5e-324)
+    assert extremes(np.array([-np.inf, 2.0, np.inf])) == (-np.inf, np.inf)
+    assert extremes(np.array([-2.0, -1e-300, -3.0])) == (-3.0, -1e-300)

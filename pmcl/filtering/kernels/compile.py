@@ -38,14 +38,10 @@ _compile_lock = threading.RLock()
 _extra_sources: set[str] = set()
 
 
-def _options(
-    *, reorder: bool = False, assume_numbers: bool = False, strict: bool = False, allocates: bool = False
-) -> Any:
+def _options(*, reorder: bool = False, strict: bool = False, allocates: bool = False) -> Any:
     flags = set() if strict else set(_CONTRACT)
-    if reorder or assume_numbers:
+    if reorder:
         flags |= {"reassoc"}
-    if assume_numbers:
-        flags |= {"nnan"}
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": flags}
     if not allocates:
         # Without reference counting: each atomic count of an array view costs as much as ten particles.
@@ -57,7 +53,6 @@ def kernel(
     function: Callable[..., Any] | None = None,
     *,
     reorder: bool = False,
-    assume_numbers: bool = False,
     strict: bool = False,
 ) -> Any:
     """Compile a function that is called from other kernels and allocates nothing.
@@ -68,14 +63,12 @@ def kernel(
         The function; may be left out when options are given.
     reorder : bool
         Sums may be reordered (needed to vectorise a reduction).
-    assume_numbers : bool
-        NaN may be ignored. Only for reductions whose input was tested before.
     strict : bool
         Every operation is rounded as written: products and sums are not fused.
     """
     if function is None:
-        return functools.partial(kernel, reorder=reorder, assume_numbers=assume_numbers, strict=strict)
-    return njit(**_options(reorder=reorder, assume_numbers=assume_numbers, strict=strict))(function)
+        return functools.partial(kernel, reorder=reorder, strict=strict)
+    return njit(**_options(reorder=reorder, strict=strict))(function)
 
 
 @functools.cache

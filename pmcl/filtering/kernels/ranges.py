@@ -19,12 +19,12 @@ from pmcl.filtering.kernels.contract import (
     scratch_rows,
 )
 from pmcl.filtering.kernels.geometry import add_information
-from pmcl.filtering.kernels.rays import inverse_lengths, wall_numerators
+from pmcl.filtering.kernels.rays import inverse_lengths, middle_and_reach, wall_numerators
 from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
 from pmcl.models.tables import RangeBeams
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-_FIXED_ROWS = 9
+_FIXED_ROWS = 17
 # A ray that meets nothing has length inf; this many times the longest reading stands for it.
 _FAR = 2.0
 
@@ -95,23 +95,55 @@ def log_normal_tail(x):
 
 
 @kernel
+def _one_origin(beam_pose):
+    """Return whether several beams leave the robot, all from one point."""
+    for beam in range(1, beam_pose.shape[0]):
+        if beam_pose[beam, 0] != beam_pose[0, 0] or beam_pose[beam, 1] != beam_pose[0, 1]:
+            return False
+    return beam_pose.shape[0] > 1
+
+
+@kernel
+def _remember(scratch, row, interval):
+    scratch[row, 0], scratch[row + 1, 0] = interval
+
+
+@kernel
 def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
-    """Write 1 / length of one beam for all particles into scratch row 2; reuse the origins when `moved` is False."""
+    """Write 1 / length of one beam for all particles into scratch row 2; reuse the origins when `moved` is False.
+
+    Rows 9 to 16 of `scratch` hold, in their first element, what bounds all origins and headings.
+    """
     n = current.shape[1]
     dx, dy, best, x, y = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     moment, inverse = scratch[8], scratch[_FIXED_ROWS : _FIXED_ROWS + sensor.wall_start.size]
+    shared = _one_origin(sensor.beam_pose)
     if moved:
         mount_x, mount_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
         for i in range(n):
             x[i] = current[0, i] + mount_x * cosine[i] - mount_y * sine[i]
         for i in range(n):
             y[i] = current[1, i] + mount_x * sine[i] + mount_y * cosine[i]
-        wall_numerators(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, inverse)
+        _remember(scratch, 9, middle_and_reach(x))
+        _remember(scratch, 11, middle_and_reach(y))
+        _remember(scratch, 13, middle_and_reach(cosine))
+        _remember(scratch, 15, middle_and_reach(sine))
+        if shared:
+            wall_numerators(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, inverse)
     c, s = math.cos(sensor.beam_pose[beam, 2]), math.sin(sensor.beam_pose[beam, 2])
     for i in range(n):
         dx[i] = cosine[i] * c - sine[i] * s
         dy[i] = sine[i] * c + cosine[i] * s
-    inverse_lengths(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, dx, dy, inverse, moment, best)
+    middle_c, reach_c, middle_s, reach_s = scratch[13, 0], scratch[14, 0], scratch[15, 0], scratch[16, 0]
+    bounds = (
+        (scratch[9, 0], scratch[10, 0]),
+        (scratch[11, 0], scratch[12, 0]),
+        (middle_c * c - middle_s * s, reach_c * abs(c) + reach_s * abs(s)),
+        (middle_s * c + middle_c * s, reach_s * abs(c) + reach_c * abs(s)),
+    )
+    inverse_lengths(
+        sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, dx, dy, bounds, inverse, shared, moment, best
+    )
 
 
 @reading_logpdf.register(RangeBeams, allocates=False)
