@@ -194,8 +194,9 @@ def transport_moves(
             )
         ]
         joint_new = prior + math.fsum(trial[0] for trial in trials)
+        if not joint_new > -math.inf:  # impossible there, or the linearised path has no factorisation
+            continue
         value = joint_new + log_jacobian - math.fsum(trial[1] for trial in trials)
-        # A comparison with NaN (inf - inf of a failed factorisation) is False: such proposals are refused.
         if log_uniform[move] < value - current + log_back - log_forward:
             accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
