@@ -1,0 +1,76 @@
+"""The experiments of ``analyses/``, each in a small version: that they run, and that what they find is true."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ANALYSES = Path(__file__).parents[2] / "analyses"
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A function that runs an experiment in its small version, twice, and returns the folder of its results."""
+
+    def run(experiment, *arguments):
+        folder = tmp_path_factory.mktemp(experiment)
+        command = [sys.executable, ANALYSES / experiment / "run.py", "--small", "--output", folder, *arguments]
+        subprocess.run(command, check=True, timeout=500, capture_output=True)
+        before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+        # What is there is not computed again.
+        subprocess.run(command, check=True, timeout=60, capture_output=True)
+        assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+        assert before
+        return folder
+
+    return run
+
+
+def read(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.slow
+def test_longer_drives_tell_more_of_the_amigobot(small):
+    folder = small("amigobot_posterior")
+    short, long = (np.load(folder / f"draws_{seconds}_conditional.npz") for seconds in (40, 200))
+    spreads = []
+    for run in (short, long):
+        flat = run["theta"].reshape(-1, 4).astype(float)
+        off = (flat.mean(axis=0) - run["truth"]) / flat.std(axis=0)
+        assert np.abs(off).max() < 4.0
+        spreads.append(flat.std(axis=0))
+    # Five times the data: the root of five where the prior no longer matters.
+    assert 1.3 < np.exp(np.mean(np.log(spreads[0] / spreads[1]))) < 4.0
+
+
+@pytest.mark.slow
+def test_rows_come_in_as_r_says_and_rounds_of_m_move_theta(small):
+    folder = small("effect_of_m_and_r")
+    rows = {(int(row["m"]), int(row["r"])): row for row in read(folder / "settings.csv")}
+    assert set(rows) == {(1, 3), (10, 3), (5, 3), (5, 30)}
+    # A chain starts with r of 30 rows, and its first sweep adds r.
+    assert int(rows[5, 3]["sweeps_until_complete"]) == 9
+    assert int(rows[5, 30]["sweeps_until_complete"]) == 1
+    # Ten rounds leave hardly a parameter where it was, one leaves about half of them.
+    assert float(rows[1, 3]["moved"]) < 0.8 < 0.9 < float(rows[10, 3]["moved"])
+    assert len({row["sweeps"] for row in read(folder / "curves.csv")}) > 10
+
+
+@pytest.mark.slow
+def test_methods_agree_with_their_reference_as_far_as_their_errors_go(small):
+    folder = small("convergence_comparison")
+    methods = {row["method"]: row for row in read(folder / "methods.csv")}
+    assert set(methods) == {"conditional:10", "smoothing:10", "ensemble:50", "reference"}
+    exact = methods["conditional:10"]
+    assert float(exact["error"]) < 6.0 * float(exact["expected_error"])
+    curves = read(folder / "curves.csv")
+    for name in ("conditional:10", "smoothing:10", "ensemble:50"):
+        wall = np.array([float(row["wall"]) for row in curves if row["method"] == name])
+        assert (np.diff(wall) > 0.0).all()
