@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pmcl.errors import PmclError
+    from pmcl.localization.many import localize_many
+    from pmcl.localization.offline import localize
     from pmcl.logs.robot_log import RobotLog
     from pmcl.maps.landmarks import LandmarkMap
     from pmcl.maps.walls import WallMap
@@ -46,6 +48,8 @@ __all__ = [
     "__version__",
     "calibrate",
     "default_model",
+    "localize",
+    "localize_many",
     "read_log",
     "read_posterior",
     "simulate_aibo",
@@ -64,6 +68,8 @@ _HOMES = {
     "WallMap": "pmcl.maps.walls",
     "calibrate": "pmcl.posterior.calibrate",
     "default_model": "pmcl.models.robot_model",
+    "localize": "pmcl.localization.offline",
+    "localize_many": "pmcl.localization.many",
     "read_posterior": "pmcl.posterior.files",
     "simulate_aibo": "pmcl.robots.aibo",
     "simulate_amigobot": "pmcl.robots.amigobot",

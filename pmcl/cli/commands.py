@@ -9,6 +9,7 @@ from pmcl.cli.calibrate import calibrate
 from pmcl.cli.compare import compare
 from pmcl.cli.convert import convert
 from pmcl.cli.demo import demo
+from pmcl.cli.localize import localize
 from pmcl.cli.report import report
 from pmcl.cli.simulate import simulate
 
@@ -25,5 +26,5 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, compare, report):
+for command in (demo, simulate, convert, calibrate, compare, localize, report):
     pmcl.add_command(command)

@@ -16,6 +16,7 @@ __all__ = [
     "STRATIFIED",
     "SYSTEMATIC",
     "draw_index",
+    "last_positive",
     "multinomial_into",
     "resample",
 ]
@@ -25,7 +26,8 @@ SCHEMES = {"multinomial": MULTINOMIAL, "systematic": SYSTEMATIC, "stratified": S
 
 
 @kernel
-def _last_positive(weights):
+def last_positive(weights):
+    """Return the index of the last weight > 0, which a search by cumulated weights must never pass."""
     last = weights.size - 1
     while last > 0 and not weights[last] > 0.0:
         last -= 1
@@ -60,7 +62,7 @@ def multinomial_into(weights, weight_sum, rng, first, ancestors, spacings):
         spacings[i] = sum_of_spacings
         sum_of_spacings += rng.standard_exponential()
     factor = weight_sum / sum_of_spacings
-    last = _last_positive(weights)
+    last = last_positive(weights)
     j = 0
     cumulated = weights[0]
     for i in range(first, n):
@@ -92,11 +94,11 @@ def resample(scheme, weights, weight_sum, rng, ancestors, scratch):
                     filled += 1
         while filled < n:
             ancestors[filled] = (
-                draw_index(scratch, residual_sum, rng) if residual_sum > 0.0 else _last_positive(weights)
+                draw_index(scratch, residual_sum, rng) if residual_sum > 0.0 else last_positive(weights)
             )
             filled += 1
         return
-    last = _last_positive(weights)
+    last = last_positive(weights)
     step = weight_sum / n
     offset = rng.random()
     j = 0

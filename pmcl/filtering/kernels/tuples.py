@@ -19,6 +19,7 @@ __all__ = [
     "any_look_back",
     "any_reading",
     "count_slots",
+    "is_empty",
     "most_rows",
     "sum_information",
     "sum_logpdf",
@@ -64,41 +65,42 @@ def sum_information(sensors, geometries, t, precision, shift):
         linear_information(sensor, geometry, t, precision, shift)
 
 
-def _is_empty(sensors):
+def is_empty(sensors):
+    """Return whether the numba type of a tuple of sensors is that of an empty one."""
     return isinstance(sensors, types.BaseTuple) and len(sensors) == 0
 
 
 @overload_for_types(any_reading)
 def _any_reading(sensors, t):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors, t: False
     return lambda sensors, t: has_reading(sensors[0], t) or any_reading(sensors[1:], t)
 
 
 @overload_for_types(any_look_back)
 def _any_look_back(sensors):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors: False
     return lambda sensors: looks_back(sensors[0]) or any_look_back(sensors[1:])
 
 
 @overload_for_types(most_rows)
 def _most_rows(sensors):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors: 0
     return lambda sensors: max(scratch_rows(sensors[0]), most_rows(sensors[1:]))
 
 
 @overload_for_types(count_slots)
 def _count_slots(sensors, n_steps):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors, n_steps: 0
     return lambda sensors, n_steps: reading_count(sensors[0], n_steps) + count_slots(sensors[1:], n_steps)
 
 
 @overload_for_types(sum_logpdf)
 def _sum_logpdf(sensors, t, previous, current, logp, scratch):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors, t, previous, current, logp, scratch: None
 
     def both(sensors, t, previous, current, logp, scratch):
@@ -110,7 +112,7 @@ def _sum_logpdf(sensors, t, previous, current, logp, scratch):
 
 @overload_for_types(sum_path_logpdf)
 def _sum_path_logpdf(sensors, n_steps, path, logp, scratch):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors, n_steps, path, logp, scratch: None
 
     def both(sensors, n_steps, path, logp, scratch):
@@ -122,7 +124,7 @@ def _sum_path_logpdf(sensors, n_steps, path, logp, scratch):
 
 @overload_for_types(sum_information)
 def _sum_information(sensors, geometries, t, precision, shift):
-    if _is_empty(sensors):
+    if is_empty(sensors):
         return lambda sensors, geometries, t, precision, shift: None
 
     def both(sensors, geometries, t, precision, shift):

@@ -1,0 +1,161 @@
+"""``pmcl localize``: from a log and a posterior to where the robot was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmcl.cli.options import output_option, parameter_values, seed_option, writable_file
+from pmcl.errors import PosteriorError
+
+if TYPE_CHECKING:
+    from pmcl.localization.track import Track
+    from pmcl.logs.robot_log import RobotLog
+    from pmcl.models.robot_model import RobotModel
+    from pmcl.posterior.compat import Posterior
+
+__all__ = ["localize"]
+
+_COUNT = click.IntRange(min=1)
+_PARTICLES = click.IntRange(min=2)
+
+
+@click.command()
+@click.argument("log_file", metavar="LOG.nc")
+@output_option("The track to write (NetCDF).")
+@click.option("--posterior", "posterior_file", metavar="POSTERIOR.nc", help="What 'pmcl calibrate' wrote.")
+@click.option(
+    "--method",
+    type=click.Choice(["mean", "map", "posterior", "prior"]),
+    default="mean",
+    show_default=True,
+    help="theta at its posterior mean; at the best draw; the whole posterior; the prior mean (needs no posterior).",
+)
+@click.option(
+    "--theta",
+    metavar="NAME=VALUE",
+    multiple=True,
+    callback=parameter_values,
+    help="Value of a parameter in place of the method's (may be repeated).",
+)
+@click.option(
+    "--model", "model_file", metavar="FILE.toml", help="The model file of the calibration, if it had one."
+)
+@click.option("--particles", type=_PARTICLES, default=500, show_default=True, help="Particles.")
+@click.option(
+    "--least-particles", type=_PARTICLES, help="Adapt the number of particles to the belief, from these to --particles."
+)
+@click.option("--start-particles", type=_PARTICLES, help="Particles of the first row; --particles.")
+@click.option("--draws", type=_COUNT, help="Draws of the posterior to work with (method posterior); 200.")
+@click.option("--draws-per-reading", type=_COUNT, help="Draws that each row's readings are averaged over; 10.")
+@click.option("--start", type=click.Choice(["log", "anywhere"]), help="Where the robot may begin; as the log says.")
+@click.option("--recover", is_flag=True, help="Look for the robot elsewhere when its readings become unlikely.")
+@seed_option()
+@click.option(
+    "--tum",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    callback=writable_file,
+    help="Write the poses as TUM text too (for evo).",
+)
+@click.option(
+    "--tum-reference",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    callback=writable_file,
+    help="Write the log's reference trajectory as TUM text, to compare with.",
+)
+@click.pass_context
+def localize(
+    ctx: click.Context,
+    /,
+    log_file: str,
+    output: Path,
+    posterior_file: str | None,
+    method: str,
+    theta: dict[str, float],
+    model_file: str | None,
+    particles: int,
+    start: str | None,
+    seed: int,
+    tum: Path | None,
+    tum_reference: Path | None,
+    **settings: Any,
+) -> None:
+    """Tell where a robot was at each row of its log, with the parameters that a calibration found."""
+    outputs = [path for path in (output, tum, tum_reference) if path is not None]
+    _protect(ctx, outputs, [path for path in (log_file, posterior_file, model_file) if path is not None])
+
+    from pmcl.localization.offline import localize as run
+    from pmcl.localization.options import FilterOptions
+    from pmcl.localization.tum import write_tum
+    from pmcl.logs.robot_log import RobotLog
+    from pmcl.posterior.files import read_posterior
+
+    log = RobotLog.read(log_file)
+    if tum_reference is not None and log.true_poses is None:
+        raise click.UsageError(f"--tum-reference: the log {log_file} has no reference trajectory: leave it out", ctx)
+    posterior = None if posterior_file is None else read_posterior(posterior_file)
+    model = _model(log, model_file, posterior, start)
+    try:
+        track = run(
+            log, model, posterior, method, theta=theta, particles=particles, seed=seed,
+            options=FilterOptions(**settings),
+        )  # fmt: skip
+    except PosteriorError as error:
+        raise PosteriorError(f"{posterior_file}: {error}" if posterior_file else f"--posterior: {error}") from None
+    track.write(output)
+    if tum is not None:
+        track.write_tum(tum)
+    if tum_reference is not None and log.true_poses is not None:
+        write_tum(tum_reference, log.times, log.true_poses)
+    _tell(track)
+    click.echo(f"track: {output}")
+
+
+def _model(log: RobotLog, model_file: str | None, posterior: Posterior | None, start: str | None) -> RobotModel:
+    """Return the model of a file, or the one whose parameters the posterior has."""
+    import dataclasses
+
+    from pmcl.localization.model_choice import model_for
+    from pmcl.models.model_file import read_model
+    from pmcl.models.start import StartBelief
+
+    model = model_for(log, posterior) if model_file is None else read_model(model_file, log)
+    if start == "anywhere":
+        unknown = (float("inf"),) * 3
+        return dataclasses.replace(model, start=StartBelief(mean=(0.0, 0.0, 0.0), std=unknown))
+    return dataclasses.replace(model, start=StartBelief()) if start == "log" else model
+
+
+def _protect(ctx: click.Context, outputs: list[Path], inputs: list[str]) -> None:
+    taken = {Path(path).resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in taken:
+            raise click.UsageError(
+                f"expected an output other than the inputs and the other outputs, but {path} is both: "
+                "name another file",
+                ctx,
+            )
+        taken.add(path.resolve())
+
+
+def _tell(track: Track) -> None:
+    """Print what the filter did, and its errors where the log has a reference."""
+    import numpy as np
+
+    rows = [("rows", f"{track.times.size}", "")]
+    read = track.log_score != 0.0
+    if read.any():
+        rows.append(("log score per row with readings", f"{track.log_score[read].mean():.3f}", "nat"))
+        rows.append(("effective sample size, median", f"{np.median(track.ess[read]):.0f}", ""))
+    if track.position_rmse is not None and track.heading_rmse is not None and track.coverage_95 is not None:
+        rows.append(("position error, RMSE", f"{track.position_rmse:.4f}", "m"))
+        worst = float(np.nanmax(track.dataset["position_error"]))
+        rows.append(("position error, greatest", f"{worst:.4f}", "m"))
+        rows.append(("heading error, RMSE", f"{track.heading_rmse:.4f}", "rad"))
+        rows.append(("truth inside the 95 % ellipse", f"{100.0 * track.coverage_95:.1f}", "%"))
+    for name, value, unit in rows:
+        click.echo(f"{name:<32} {value:>10} {unit}".rstrip())

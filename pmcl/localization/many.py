@@ -1,0 +1,152 @@
+"""Localize the same log many times: how good a filter is, beyond the luck of one run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import FilterError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.localization.metrics import nees, pose_errors, rmse
+from pmcl.localization.options import FilterOptions
+from pmcl.localization.setup import Prepared, prepare
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.robot_model import RobotModel
+from pmcl.posterior.compat import Posterior
+
+__all__ = ["Runs", "localize_many", "run_seeds"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """R runs of a filter over one log of T rows.
+
+    Attributes
+    ----------
+    seeds : tuple of int
+        Seed of each run: ``localize(..., seed=seeds[r])`` is run r.
+    pose_mean : ndarray, shape (R, T, 3)
+        Mean poses [m, m, rad]; NaN from the row on at which a run lost the robot.
+    log_score : ndarray, shape (R, T)
+        Log predictive densities [nat].
+    effective_size : ndarray, shape (R, T)
+        Effective sample sizes.
+    lost_at : ndarray of int, shape (R,)
+        Row at which every particle had weight zero; -1 for a run that went through.
+    position_error, heading_error : ndarray, shape (R, T)
+        Distance to the reference [m] and heading error [rad]; NaN where there is none.
+    nees : ndarray, shape (R, T)
+        Normalised squared position error, see :func:`pmcl.localization.metrics.nees`.
+    """
+
+    seeds: tuple[int, ...]
+    pose_mean: Float
+    log_score: Float
+    effective_size: Float
+    lost_at: NDArray[np.int64]
+    position_error: Float
+    heading_error: Float
+    nees: Float
+
+    @property
+    def position_rmse(self) -> Float:
+        """Root mean square position error of each run [m], shape (R,)."""
+        return rmse(self.position_error)
+
+    @property
+    def heading_rmse(self) -> Float:
+        """Root mean square heading error of each run [rad], shape (R,)."""
+        return rmse(self.heading_error)
+
+    @property
+    def log_evidence(self) -> Float:
+        """Log predictive density of all readings, for each run [nat], shape (R,)."""
+        return np.asarray(self.log_score.sum(axis=1))
+
+
+def run_seeds(seed: int, repetitions: int) -> tuple[int, ...]:
+    """Return the seeds of the runs that :func:`localize_many` makes."""
+    return tuple(int(value) for value in np.random.SeedSequence(seed).generate_state(repetitions, dtype=np.uint64))
+
+
+def localize_many(
+    log: RobotLog,
+    model: RobotModel | None = None,
+    posterior: Posterior | None = None,
+    method: str = "mean",
+    *,
+    theta: Mapping[str, float] | None = None,
+    repetitions: int = 1000,
+    particles: int = 500,
+    seed: int = 0,
+    options: FilterOptions | None = None,
+    threads: int | None = None,
+) -> Runs:
+    """Run the filter over a log again and again, with other random numbers each time.
+
+    Parameters
+    ----------
+    log, model, posterior, method, theta, particles, options
+        As for :func:`pmcl.localization.offline.localize`.
+    repetitions : int
+        Number of runs R.
+    seed : int
+        All randomness follows from it, whatever the number of threads.
+    threads : int, optional
+        Number of threads; all cores when left out. The compiled filter does not hold the interpreter's lock.
+
+    Returns
+    -------
+    Runs
+        Cost: O(R T n); memory O(R T).
+
+    Raises
+    ------
+    PmclError
+        When log, model, posterior and settings do not fit each other. A run that loses the robot is no error here.
+    """
+    if repetitions < 1:
+        raise FilterError(f"expected at least 1 repetition, but got {repetitions}; 1000 are usual")
+    if threads is not None and threads < 1:
+        raise FilterError(f"expected at least 1 thread, but got {threads}; leave it out to use all cores")
+    prepared = prepare(log, model, posterior, method, theta, particles, options)
+    seeds = run_seeds(seed, repetitions)
+    n_steps = log.n_steps
+    size = min(prepared.tracker.size, 3)
+    runs = Runs(
+        seeds,
+        np.full((repetitions, n_steps, size), np.nan),
+        np.full((repetitions, n_steps), np.nan),
+        np.full((repetitions, n_steps), np.nan),
+        np.full(repetitions, -1, dtype=np.int64),
+        *(np.full((repetitions, n_steps), np.nan) for _ in range(3)),
+    )
+    workers = min(threads or os.cpu_count() or 1, repetitions)
+    chunks = np.array_split(np.arange(repetitions), workers)
+    with ThreadPoolExecutor(workers) as pool:
+        for _ in pool.map(lambda chunk: _run_chunk(prepared, runs, chunk), chunks):
+            pass
+    return runs
+
+
+def _run_chunk(prepared: Prepared, runs: Runs, chunk: NDArray[np.int64]) -> None:
+    """Fill the rows of some runs, with one filter after the other in the same memory."""
+    tracker, log = prepared.tracker.share(), prepared.log
+    reference = log.true_poses if runs.pose_mean.shape[2] == 3 else None
+    for r in chunk:
+        tracker.forget()
+        beliefs, lost_at = tracker.run_until_lost(0, log.n_steps, prepared.counts, make_rng(runs.seeds[r]), log.where)
+        mean = beliefs.mean[:, : runs.pose_mean.shape[2]]
+        runs.pose_mean[r], runs.lost_at[r] = mean, lost_at
+        runs.log_score[r], runs.effective_size[r] = beliefs.log_score, beliefs.effective_size
+        if reference is not None:
+            errors = pose_errors(mean, reference)
+            runs.position_error[r], runs.heading_error[r] = errors
+            runs.nees[r] = nees(mean, beliefs.covariance[:, :3, :3], reference)

@@ -1,0 +1,109 @@
+"""How a localizing filter works, beyond its number of particles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmcl.errors import FilterError
+from pmcl.filtering.kernels.resampling import SCHEMES
+from pmcl.filtering.tracker import Options
+from pmcl.models.tables import PoseStart
+
+__all__ = ["FilterOptions"]
+
+# Bins in which KLD-sampling counts particles, its bound, and the 99 % normal quantile (Fox 2003, section 4).
+_BIN_SIZE, _BIN_TURN, _KLD_ERROR, _KLD_QUANTILE = 0.2, np.radians(15.0), 0.05, 2.3263
+# Rates and tolerance of the two averages of Gutmann and Fox (2002): one odd row is forgiven, two are not.
+_FAST, _SLOW, _TOLERANCE = 0.4, 0.02, 2.0
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """Options of the localizing filter.
+
+    Attributes
+    ----------
+    draws : int, optional
+        Draws K of the posterior that the method ``posterior`` works with, evenly out of all chains; 200, or all when
+        there are fewer.
+    draws_per_reading : int, optional
+        How many of them each row's readings are averaged over (the k of eq. 24), chosen anew at each row; 10, or all
+        when there are fewer.
+    scheme : {"multinomial", "systematic", "stratified", "residual"}
+        How parents are drawn; the paper's is multinomial.
+    threshold : float
+        Resample where the effective sample size is at most this share of the particles: 1 always, 0 never.
+    annealed : bool
+        Take in the first reading by degrees when the start is unknown, see :mod:`pmcl.filtering.kernels.anneal`.
+    recover : bool
+        Look for the robot elsewhere when its readings suddenly become unlikely, as after being carried away.
+    least_particles : int, optional
+        Let the number of particles follow the spread of the belief, from this many up to the number given (KLD
+        sampling). Without it the number stays as it is.
+    start_particles : int, optional
+        Number of particles of the first row; the number given when left out.
+
+    References
+    ----------
+    Fox, Adapting the sample size in particle filters through KLD-sampling, IJRR 22(12), 2003.
+    Gutmann, Fox, An experimental comparison of localization methods continued, IROS 2002.
+    Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 8.3 (augmented MCL).
+    """
+
+    draws: int | None = None
+    draws_per_reading: int | None = None
+    scheme: str = "multinomial"
+    threshold: float = 1.0
+    annealed: bool = True
+    recover: bool = False
+    least_particles: int | None = None
+    start_particles: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check all values; raises FilterError."""
+        if self.scheme not in SCHEMES:
+            raise FilterError(f"expected a resampling scheme out of {sorted(SCHEMES)}, but got '{self.scheme}'")
+        if not 0.0 <= self.threshold <= 1.0:
+            raise FilterError(f"expected a resampling threshold in [0, 1], but got {self.threshold:g}; 1 is always")
+        for name in ("draws", "draws_per_reading"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise FilterError(f"expected {name} of at least 1, but got {value}; 10 are usual")
+        for name in ("least_particles", "start_particles"):
+            value = getattr(self, name)
+            if value is not None and value < 2:
+                raise FilterError(f"expected {name} of at least 2, but got {value}; 100 to 10000 are usual")
+
+    def for_kernel(self, particles: int, draws: int, picks: int, start: object) -> Options:
+        """Return the same as numbers.
+
+        Parameters
+        ----------
+        particles : int
+            Number of particles, or greatest number of an adaptive filter.
+        draws, picks : int
+            Draws K, and draws per reading.
+        start : NamedTuple
+            Start table: whether pose or heading are unknown decides on annealing.
+
+        Raises
+        ------
+        FilterError
+            When there are fewer than 2 particles, or fewer than `least_particles`.
+        """
+        least = particles if self.least_particles is None else self.least_particles
+        if not 2 <= least <= particles:
+            raise FilterError(
+                f"expected at least {max(2, least)} particles, but got {particles}; 25 to 1000 are usual, "
+                "several thousand for a start anywhere"
+            )
+        annealed = 0
+        if self.annealed and isinstance(start, PoseStart):
+            annealed = 2 if bool(np.isinf(start.std).all()) else 1
+        return Options(
+            self.start_particles or particles, least, particles, draws, picks, SCHEMES[self.scheme],
+            float(self.threshold), annealed, self.recover, _FAST, _SLOW, _TOLERANCE,
+            _BIN_SIZE, float(_BIN_TURN), _KLD_ERROR, _KLD_QUANTILE,
+        )  # fmt: skip

@@ -1,0 +1,103 @@
+"""From a log, a model and a posterior to a filter that is ready to run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import PmclError
+from pmcl.filtering.tracker import Tracker
+from pmcl.localization.options import FilterOptions
+from pmcl.localization.parameters import choose_theta
+from pmcl.logs.arrays import LogArrays
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model
+from pmcl.models.start import StartBelief
+from pmcl.models.tables import GaussianStart, PoseStart
+from pmcl.posterior.compat import Posterior
+
+__all__ = ["Prepared", "anywhere", "prepare", "reading_counts"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A filter and what it was made from.
+
+    Attributes
+    ----------
+    bound : BoundModel
+        The model bound to the log.
+    theta : ndarray, shape (K, d)
+        Values of the parameters that the filter works with.
+    tracker : Tracker
+        The filter.
+    counts : ndarray of int, shape (T,)
+        Readings at each row.
+    options : FilterOptions
+        How it works.
+    """
+
+    bound: BoundModel
+    theta: Float
+    tracker: Tracker
+    counts: NDArray[np.int64]
+    options: FilterOptions
+
+    @property
+    def log(self) -> RobotLog:
+        """The log."""
+        return self.bound.logs[0]
+
+
+def prepare(
+    log: RobotLog,
+    model: RobotModel | None,
+    posterior: Posterior | None,
+    method: str,
+    theta: Mapping[str, float] | None,
+    particles: int,
+    options: FilterOptions | None,
+) -> Prepared:
+    """Make the filter for one log; parameters and errors as for :func:`pmcl.localization.offline.localize`."""
+    options = options or FilterOptions()
+    bound = (model or default_model(log)).bind(log)
+    values, picks = choose_theta(bound, posterior, method, theta, options)
+    tables = [bound.tables(value)[0] for value in values]
+    start = tables[0].start
+    elsewhere = anywhere(log, start, required=options.recover)
+    tracker = Tracker(tables, elsewhere, options.for_kernel(particles, len(values), picks, start))
+    return Prepared(bound, values, tracker, reading_counts(log), options)
+
+
+def anywhere(log: RobotLog, start: Any, *, required: bool) -> Any:
+    """Return the start belief of a robot that may be anywhere on the log's map.
+
+    Only recovery reads it. Where it is not `required`, or the states are no poses, something of the right type will
+    do: one type of table is one compilation less.
+    """
+    if not isinstance(start, GaussianStart | PoseStart) or start.mean.size != 3:
+        return start
+    if required:
+        unknown = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
+        try:
+            return unknown.bind(log).fixed
+        except PmclError as error:
+            raise type(error)(f"recovery: {error}") from None
+    return PoseStart(start.mean, start.std, np.zeros(2), np.ones(2), np.empty((0, 4)), 0.0)
+
+
+def reading_counts(log: LogArrays) -> NDArray[np.int64]:
+    """Return the number of beam readings and landmark sightings at each row, (T,)."""
+    count = np.zeros(log.n_steps, dtype=np.int64)
+    if log.ranges is not None:
+        count += np.count_nonzero(~np.isnan(log.ranges), axis=1)
+    seen = [values for values in (log.landmark_range, log.landmark_bearing, log.landmark_size) if values is not None]
+    if seen:
+        count += np.count_nonzero(np.any([~np.isnan(values) for values in seen], axis=0), axis=1)
+    return count
