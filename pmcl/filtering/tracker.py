@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError
-from pmcl.filtering.kernels import contract, localize, smc
+from pmcl.filtering.kernels import contract, elsewhere, localize
 from pmcl.filtering.kernels.localize_state import Options, new_state
+from pmcl.filtering.kernels.weighing import ALL_ZERO, FINE, NOT_A_NUMBER
 from pmcl.models.tables import Tables
 
 __all__ = ["Beliefs", "Options", "Tracker", "stack_tables"]
@@ -159,18 +160,28 @@ class Tracker:
         n_rows = end - begin
         mean, covariance = np.full((n_rows, self.size), np.nan), np.full((n_rows, self.size, self.size), np.nan)
         told = np.full((n_rows, 3), np.nan)
-        status, row = localize.localize_rows(
-            self.tables, self.stack, self.anywhere, self.options, begin, end, counts, rng, self._state,
-            mean, covariance, told,
-        )  # fmt: skip
-        if status == smc.NOT_A_NUMBER:
+        row, status = begin - 1, FINE
+        while row < end - 1 and status == FINE:
+            status, row = localize.localize_rows(
+                self.tables, self.stack, self.options, begin, row + 1, end, counts, rng, self._state,
+                mean, covariance, told,
+            )  # fmt: skip
+            i = row - begin
+            if status == localize.START_UNKNOWN:
+                status = elsewhere.first_reading(
+                    self.tables, self.stack, self.options, row, rng, self._state, mean[i], covariance[i], told[i]
+                )
+            elif status == localize.SOMEWHERE_ELSE:
+                status = elsewhere.look_elsewhere(
+                    self.tables, self.stack, self.anywhere, self.options, row, rng, self._state,
+                    mean[i], covariance[i], told[i],
+                )  # fmt: skip
+        if status == NOT_A_NUMBER:
             raise FilterError(
                 f"{what}: at row {row} a density is not a number; check the coefficient tables of the model at that row"
             )
-        if status == smc.ALL_ZERO:
-            told[row - begin :] = np.nan
-            return Beliefs(mean, covariance, told[:, 0], told[:, 1], told[:, 2]), row
-        return Beliefs(mean, covariance, told[:, 0], told[:, 1], told[:, 2]), -1
+        told[row + 1 - (status == ALL_ZERO) - begin :] = np.nan
+        return Beliefs(mean, covariance, told[:, 0], told[:, 1], told[:, 2]), row if status == ALL_ZERO else -1
 
     def particles(self) -> tuple[Float, Float]:
         """Return copies of the states (D, n) and their normalised weights (n,) after the last row."""

@@ -5,23 +5,27 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.model_file import model_of_text
 from pmcl.models.motion import GrowingIncrementNoise
 from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.start import StartBelief
 from pmcl.posterior.access import parameter_names
 from pmcl.posterior.compat import Posterior
+from pmcl.posterior.settings import settings
 
 __all__ = ["model_for"]
 
 
 def model_for(log: RobotLog, posterior: Posterior | None) -> RobotModel:
-    """Return the built-in model for a log that has the parameters of a posterior.
+    """Return the model that a posterior was calibrated with, for another log of the same robot.
 
     Parameters
     ----------
     log : RobotLog
-        Decides on sensors and start.
+        The log to localize; the robot begins where this log says.
     posterior : arviz.InferenceData or xarray.DataTree, optional
-        Its parameters decide on outliers and on noise that grows with motion. The default model when left out.
+        It holds the model, unless that was one of its user's own; then the built-in model that has its parameters is
+        tried. The default model when left out.
 
     Returns
     -------
@@ -32,7 +36,14 @@ def model_for(log: RobotLog, posterior: Posterior | None) -> RobotModel:
     ------
     PosteriorError
         When the posterior is empty.
+    ModelError
+        When the log lacks what the model needs.
     """
-    names = parameter_names(posterior) if posterior is not None else ()
+    if posterior is None:
+        return default_model(log)
+    names = parameter_names(posterior)
+    text = settings(posterior).get("model")
+    if isinstance(text, str) and text:
+        return replace(model_of_text(text, log, "the posterior's model"), start=StartBelief())
     model = default_model(log, outliers=any(name.endswith("_outlier_weight") for name in names))
     return replace(model, motion=GrowingIncrementNoise()) if any("_per_" in name for name in names) else model

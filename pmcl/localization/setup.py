@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import PmclError
+from pmcl.errors import ModelError
 from pmcl.filtering.tracker import Tracker
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.parameters import choose_theta
@@ -70,26 +70,25 @@ def prepare(
     values, picks = choose_theta(bound, posterior, method, theta, options)
     tables = [bound.tables(value)[0] for value in values]
     start = tables[0].start
-    elsewhere = anywhere(log, start, required=options.recover)
+    elsewhere = anywhere(log, start) if options.recover else None
     tracker = Tracker(tables, elsewhere, options.for_kernel(particles, len(values), picks, start))
     return Prepared(bound, values, tracker, reading_counts(log), options)
 
 
-def anywhere(log: RobotLog, start: Any, *, required: bool) -> Any:
-    """Return the start belief of a robot that may be anywhere on the log's map.
+def anywhere(log: RobotLog, start: Any) -> Any:
+    """Return the start belief of a robot that may be anywhere on the log's map, with which recovery looks for it.
 
-    Only recovery reads it. Where it is not `required`, or the states are no poses, something of the right type will
-    do: one type of table is one compilation less.
+    Raises
+    ------
+    ModelError
+        When there is no map to be anywhere on, or the states are no poses.
     """
     if not isinstance(start, GaussianStart | PoseStart) or start.mean.size != 3:
-        return start
-    if required:
-        unknown = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
-        try:
-            return unknown.bind(log).fixed
-        except PmclError as error:
-            raise type(error)(f"recovery: {error}") from None
-    return PoseStart(start.mean, start.std, np.zeros(2), np.ones(2), np.empty((0, 4)), 0.0)
+        raise ModelError(
+            f"{log.where}: recovery expects a robot whose start is a pose, but got a start of type "
+            f"{type(start).__name__} of the model's own; leave recovery out"
+        )
+    return StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf)).bind(log).fixed
 
 
 def reading_counts(log: LogArrays) -> NDArray[np.int64]:

@@ -7,9 +7,10 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from pmcl.errors import SamplingError
+from pmcl.errors import ModelError, SamplingError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.model_text import model_text
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.convert import to_arviz
 from pmcl.sampling.run import run_ensemble, run_particle_gibbs
@@ -106,6 +107,7 @@ def calibrate(
         "checkpoint": os.fspath(checkpoint) if checkpoint is not None else None,
         "resume": resume,
         "progress": progress,
+        "settings": {"model": _model_text(bound)},
     }
     if method == "particle-gibbs":
         if kernel not in ("conditional", "smoothing"):
@@ -137,6 +139,14 @@ def calibrate(
     else:
         raise SamplingError(f"expected method 'particle-gibbs' or 'ensemble', but got '{method}'")
     return to_arviz(result, bound.parameters, bound.logs)
+
+
+def _model_text(bound: BoundModel) -> str:
+    """Return the model as a model file, so that a posterior can be used without one; empty for a user's own parts."""
+    try:
+        return model_text(bound.model, bound.logs[0])
+    except ModelError:
+        return ""
 
 
 def _check_sizes(**sizes: int) -> None:

@@ -27,13 +27,8 @@ def python(code):
 
 def test_version_and_help(run):
     assert run("--version").stdout == f"pmcl {pmcl.__version__}\n"
-<<<<<<< HEAD
     simulators = ("simulate", "simulate amigobot", "simulate aibo")
-    for command in ("", *simulators, "convert", "calibrate", "compare", "report", "demo"):
-=======
-    commands = ("", "simulate", "simulate amigobot", "simulate aibo", "convert", "calibrate", "localize", "report", "demo")
-    for command in commands:
->>>>>>> 65c07a1 (Localization: a filter in O(n) memory with theta fixed or drawn from the posterior, and its command)
+    for command in ("", *simulators, "convert", "calibrate", "compare", "localize", "report", "demo"):
         result = run(*command.split(), "--help")
         assert result.exit_code == 0
         assert result.stdout.startswith("Usage: ")

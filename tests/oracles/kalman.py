@@ -47,6 +47,30 @@ def log_evidence(model: LinearModel, q, r):
     return value
 
 
+class Filtered(NamedTuple):
+    """What is known at each time from the readings up to it: mean, variance (T,), and log density of each reading."""
+
+    mean: Float
+    variance: Float
+    log_score: Float
+
+
+def filtered(model: LinearModel, q: float, r: float) -> Filtered:
+    """The Kalman filter; the log score is 0 where nothing was measured."""
+    out = np.zeros((3, model.reading.size))
+    mean, variance = model.mean, model.std**2
+    for t, z in enumerate(model.reading):
+        if t > 0:
+            mean, variance = model.a * mean + model.control[t], model.a**2 * variance + q**2
+        if not np.isnan(z):
+            spread = variance + r**2
+            out[2, t] = -0.5 * ((z - mean) ** 2 / spread + np.log(2.0 * np.pi * spread))
+            gain = variance / spread
+            mean, variance = mean + gain * (z - mean), (1.0 - gain) * variance
+        out[:2, t] = mean, variance
+    return Filtered(*out)
+
+
 def smoother(model: LinearModel, q: float, r: float) -> tuple[Float, Float]:
     """Mean and variance (T,) of x[t] given all readings, by the smoother of Rauch, Tung and Striebel."""
     n = model.reading.size

@@ -15,14 +15,13 @@ import numpy as np
 from pmcl.filtering.kernels.adapt import gather
 from pmcl.filtering.kernels.compile import kernel
 from pmcl.filtering.kernels.contract import draw_start, start_logpdf
-from pmcl.filtering.kernels.drawn import average_of_draws, is_shared, sum_draws
+from pmcl.filtering.kernels.drawn import log_likelihood
 from pmcl.filtering.kernels.resampling import SYSTEMATIC, resample
-from pmcl.filtering.kernels.smc import ALL_ZERO, FINE, NOT_A_NUMBER
-from pmcl.filtering.kernels.tuples import sum_logpdf
 from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
 from pmcl.filtering.kernels.views import columns
+from pmcl.filtering.kernels.weighing import ALL_ZERO, FINE, NOT_A_NUMBER
 
-__all__ = ["draw_annealed", "log_likelihood"]
+__all__ = ["draw_annealed"]
 
 # Each degree leaves at least this share of effective particles, and is followed by this many moves.
 _SHARE, _MOVES = 0.5, 6
@@ -30,21 +29,6 @@ _SHARE, _MOVES = 0.5, 6
 # are at some degree is not known beforehand.
 _LONGEST, _SHORTEST = 0.5, 0.0015
 _SMALLEST_DEGREE = 1e-4
-
-
-@kernel
-def log_likelihood(tables, stack, row, picks, before, current, out, log_densities, scratch):
-    """Write the log density of all readings at `row` into `out` (n,): eq. 24 where sensors differ between draws."""
-    for i in range(out.size):
-        out[i] = 0.0
-    if is_shared(tables.sensors, stack.sensors):
-        sum_logpdf(tables.sensors, row, before, current, out, scratch)
-        return
-    flat = log_densities.reshape(log_densities.size)
-    for i in range(flat.size):
-        flat[i] = 0.0
-    sum_draws(tables.sensors, stack.sensors, picks, row, before, current, out, log_densities, scratch)
-    average_of_draws(log_densities, out, scratch)
 
 
 @kernel

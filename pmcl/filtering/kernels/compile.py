@@ -42,7 +42,8 @@ def _options(*, reorder: bool = False, strict: bool = False, allocates: bool = F
     flags = set() if strict else set(_CONTRACT)
     if reorder:
         flags |= {"reassoc"}
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": flags}
+    # Nothing here is called from C: that wrapper alone would be a tenth of the compilation time.
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": flags, "no_cfunc_wrapper": True}
     if not allocates:
         # Without reference counting: each atomic count of an array view costs as much as ten particles.
         options["_nrt"] = False

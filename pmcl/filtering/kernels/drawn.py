@@ -12,13 +12,13 @@ import numpy as np
 
 from pmcl.filtering.kernels.compile import generic, kernel, overload_for_types
 from pmcl.filtering.kernels.contract import propagate, reading_logpdf
-from pmcl.filtering.kernels.tuples import is_empty
+from pmcl.filtering.kernels.tuples import is_empty, sum_logpdf
 from pmcl.filtering.kernels.vector_math import exp_into, log_into
 from pmcl.filtering.kernels.views import columns, take
 
 __all__ = [
-    "average_of_draws",
     "is_shared",
+    "log_likelihood",
     "move_by_draws",
     "propagate_draws",
     "reading_logpdf_draws",
@@ -150,7 +150,7 @@ def _sum_draws(sensors, stacks, picks, t, previous, current, common, log_densiti
 
 
 @kernel
-def average_of_draws(log_densities, logp, scratch):
+def _average_of_draws(log_densities, logp, scratch):
     """Add the log of the mean of exp(`log_densities` (k, n)) over the k draws to `logp` (n,) (eq. 24).
 
     `scratch` has three rows. The greatest of each column is taken out first, so that nothing vanishes or overflows.
@@ -178,3 +178,18 @@ def average_of_draws(log_densities, logp, scratch):
     log_k = np.log(k)
     for i in range(n):
         logp[i] += greatest[i] + difference[i] - log_k
+
+
+@kernel
+def log_likelihood(tables, stack, row, picks, before, current, out, log_densities, scratch):
+    """Write the log density of all readings at `row` into `out` (n,): eq. 24 where sensors differ between draws."""
+    for i in range(out.size):
+        out[i] = 0.0
+    if is_shared(tables.sensors, stack.sensors):
+        sum_logpdf(tables.sensors, row, before, current, out, scratch)
+        return
+    flat = log_densities.reshape(log_densities.size)
+    for i in range(flat.size):
+        flat[i] = 0.0
+    sum_draws(tables.sensors, stack.sensors, picks, row, before, current, out, log_densities, scratch)
+    _average_of_draws(log_densities, out, scratch)

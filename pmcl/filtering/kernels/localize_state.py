@@ -18,7 +18,7 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
 # Places in FilterState.numbers.
-COUNT, STARTED, SEEN, WEIGHT_SUM, EFFECTIVE, FAST, SLOW, FRESH = range(8)
+COUNT, STARTED, SEEN, WEIGHT_SUM, EFFECTIVE, FAST, SLOW, FRESH, SUSPICION = range(9)
 
 
 class Options(NamedTuple):
@@ -93,9 +93,10 @@ class FilterState(NamedTuple):
         Work space of the model.
     bins : ndarray of int, shape (power of two,)
         Set of occupied bins.
-    numbers : ndarray, shape (8,)
+    numbers : ndarray, shape (9,)
         n, whether begun, whether anything was measured yet, sum of weights, effective sample size, short- and long-term
-        average likelihood of a reading, whether all weights are equal.
+        average likelihood of a reading, whether all weights are equal, and the
+        probability that the robot is somewhere else.
     """
 
     particles: Float
@@ -148,5 +149,5 @@ def new_state(options: Options, size: int, rows: int) -> FilterState:
         floats(size * most), floats(size * most), floats(2 * size * most), floats(size * most),
         floats(most), floats(most), floats(most), floats(most), floats(most), floats(most), floats(most), floats(size),
         ints(most), ints(most), ints(most), ints(options.draws + 1), np.arange(options.draws, dtype=np.int64),
-        floats(options.picks * most), floats(rows * most), ints(bins), floats(8),
+        floats(options.picks * most), floats(rows * most), ints(bins), floats(9),
     )  # fmt: skip
