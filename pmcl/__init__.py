@@ -20,6 +20,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pmcl.criticism.workflow import criticize
     from pmcl.errors import PmclError
     from pmcl.localization.many import localize_many
     from pmcl.localization.offline import localize
@@ -47,6 +48,7 @@ __all__ = [
     "WallMap",
     "__version__",
     "calibrate",
+    "criticize",
     "default_model",
     "localize",
     "localize_many",
@@ -67,6 +69,7 @@ _HOMES = {
     "RobotModel": "pmcl.models.robot_model",
     "WallMap": "pmcl.maps.walls",
     "calibrate": "pmcl.posterior.calibrate",
+    "criticize": "pmcl.criticism.workflow",
     "default_model": "pmcl.models.robot_model",
     "localize": "pmcl.localization.offline",
     "localize_many": "pmcl.localization.many",

@@ -6,7 +6,16 @@ stderr and exits with status 2; a library user catches :class:`PmclError`.
 
 from __future__ import annotations
 
-__all__ = ["FilterError", "LogError", "MapError", "ModelError", "PmclError", "PosteriorError", "SamplingError"]
+__all__ = [
+    "CriticismError",
+    "FilterError",
+    "LogError",
+    "MapError",
+    "ModelError",
+    "PmclError",
+    "PosteriorError",
+    "SamplingError",
+]
 
 
 class PmclError(ValueError):
@@ -35,3 +44,7 @@ class SamplingError(PmclError):
 
 class PosteriorError(PmclError):
     """A posterior is empty, or does not fit what it is used with."""
+
+
+class CriticismError(PmclError):
+    """A log cannot be criticised: it is too short to split, or nothing in it moves."""

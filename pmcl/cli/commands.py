@@ -8,6 +8,7 @@ from pmcl.cli.application import Application
 from pmcl.cli.calibrate import calibrate
 from pmcl.cli.compare import compare
 from pmcl.cli.convert import convert
+from pmcl.cli.criticize import criticize
 from pmcl.cli.demo import demo
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
@@ -26,5 +27,5 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, compare, localize, report):
+for command in (demo, simulate, convert, calibrate, criticize, compare, localize, report):
     pmcl.add_command(command)

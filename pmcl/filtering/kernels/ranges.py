@@ -229,8 +229,12 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
                 r = (z - expected) * weight
                 value = constant - 0.5 * r * r
             if share > 0.0:
-                floor = 0.0 if clipped else share / max_range
-                value = math.log((1.0 - share) * math.exp(value) + floor)
+                # Outliers lie strictly inside: a clipped reading is never one, however improbable it is.
+                value = (
+                    value + math.log(1.0 - share)
+                    if clipped
+                    else math.log((1.0 - share) * math.exp(value) + share / max_range)
+                )
             logp[t] += value
 
 

@@ -1,0 +1,175 @@
+"""A quick calibration: one chain, seconds instead of minutes, started where something is known already.
+
+The same sweeps and transport moves as :mod:`pmcl.sampling` makes, without emcee around them. The critic fits many
+models in turn; the one it ends with is calibrated by several long chains (:func:`pmcl.posterior.calibrate.calibrate`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import FilterError, ModelError
+from pmcl.filtering.particle_filter import make_rng, run_filter, sweep_path
+from pmcl.models.robot_model import BoundModel
+from pmcl.models.tables import Tables
+from pmcl.sampling.state import ChainState, state_dimension
+from pmcl.sampling.sweep import SweepSettings, step
+from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.transport import Proposal, Transport, linearised_at
+
+__all__ = ["Fit", "quick_fit"]
+
+Float = NDArray[np.float64]
+
+# Noise far too small for a log makes a filter lose the robot; these factors on the prior mean are tried in turn.
+_START_FACTORS = (1.0, 2.0, 4.0, 0.5)
+_START_PARTICLES = 1000
+_SETTLING = 12
+_ROUNDS = (30, 40, 60)
+_FIRST_PROPOSAL = 0.1
+_GAIN = 0.05
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a quick calibration found.
+
+    Attributes
+    ----------
+    bound : BoundModel
+        The model bound to the log.
+    theta, std : ndarray, shape (d,)
+        Posterior mean and standard deviation of the parameters.
+    draws : ndarray, shape (N, d)
+        The draws they come from.
+    path : ndarray, shape (T, D)
+        Posterior mean path, headings not wrapped [m, m, rad].
+    path_std : ndarray, shape (T, D)
+        Its posterior standard deviation.
+    """
+
+    bound: BoundModel
+    theta: Float
+    std: Float
+    draws: Float
+    path: Float
+    path_std: Float
+
+    @property
+    def tables(self) -> Tables:
+        """Coefficient tables at the posterior mean."""
+        return self.bound.tables(self.theta)[0]
+
+    def values(self) -> dict[str, float]:
+        """Return the posterior mean by name."""
+        return dict(zip(self.bound.names, self.theta.tolist(), strict=True))
+
+
+def quick_fit(
+    bound: BoundModel,
+    seed: int,
+    *,
+    theta: Float | None = None,
+    path: Float | None = None,
+    draws: int = 150,
+    particles: int = 25,
+) -> Fit:
+    """Calibrate a model on one log by a single short chain.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to one log.
+    seed : int
+        All randomness follows from it.
+    theta : ndarray, shape (d,), optional
+        Where to start; the prior mean when left out.
+    path : ndarray, shape (T, D), optional
+        A trajectory to start from; drawn by a filter when left out.
+    draws : int
+        Draws that are kept, after burn-in.
+    particles : int
+        Particles of each sweep.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    FilterError
+        When no start lets the filter follow the robot.
+    """
+    rng = make_rng(np.random.SeedSequence(seed))
+    transform = Unconstrained(bound.parameters)
+    if theta is None:
+        theta = _plausible_start(bound, rng)
+    if path is None:
+        path = np.zeros((bound.lengths[0], state_dimension(bound)))
+        sweep_path(bound.tables(theta)[0], path, len(path), _START_PARTICLES, rng, "smoothing")
+        settings = SweepSettings("smoothing", 10 * particles, 10, 0, 1, 0, _GAIN)
+    else:
+        settings = SweepSettings("conditional", particles, 10, 0, 1, 0, _GAIN)
+    state = _state(bound, theta, path)
+    transport: Transport | None = None
+    kept: list[ChainState] = []
+    plans = [(_SETTLING, settings)]
+    plans += [(length, SweepSettings("conditional", particles, 5, 6, 1, 0, _GAIN)) for length in _ROUNDS]
+    plans += [(draws, SweepSettings("conditional", particles, 5, 6))]
+    for number, (length, settings) in enumerate(plans):
+        if number:
+            transport = _tuned(bound, transform, kept[len(kept) // 3 :], number)
+        kept = []
+        for _ in range(length):
+            state = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
+            kept.append(state)
+    thetas, paths = np.array([one.theta for one in kept]), np.array([one.path for one in kept])
+    return Fit(bound, thetas.mean(axis=0), thetas.std(axis=0), thetas, paths.mean(axis=0), paths.std(axis=0))
+
+
+def _plausible_start(bound: BoundModel, rng: np.random.Generator) -> Float:
+    """Return a multiple of the prior mean under which the filter foresees the log best."""
+    best, found = -math.inf, None
+    for factor in _START_FACTORS:
+        theta = bound.prior_mean()
+        scale = np.array([name.startswith("sigma_") for name in bound.names])
+        theta = np.where(scale, factor * theta, theta)
+        try:
+            value = run_filter(bound.tables(theta)[0], bound.lengths[0], _START_PARTICLES, rng).log_evidence
+        except (FilterError, ModelError):
+            continue
+        if value > best:
+            best, found = value, theta
+    if found is None:
+        raise FilterError(
+            f"{bound.logs[0].where}: the filter loses the robot at once, whatever the noise; "
+            "restart with a wider start belief or more particles"
+        )
+    return found
+
+
+def _state(bound: BoundModel, theta: Float, path: Float) -> ChainState:
+    d = theta.size
+    log_step = np.log(np.maximum(0.2 * np.abs(theta), 1e-6))
+    return ChainState(
+        theta.copy(), 0.0, path.copy(), log_step, 0.0, bound.lengths[0], np.zeros(d), *(math.nan,) * 3, 0.0, 0.0, 1.0, 0
+    )
+
+
+def _tuned(bound: BoundModel, transform: Unconstrained, kept: list[ChainState], number: int) -> Transport | None:
+    """Linearise at the mean of some states, with proposals as wide as they scatter."""
+    thetas = np.array([one.theta for one in kept])
+    d = thetas.shape[1]
+    if number == 1:
+        proposal = Proposal(_FIRST_PROPOSAL * np.eye(d))
+    else:
+        u = transform.to_line(thetas)
+        covariance = np.atleast_2d(np.cov(u.T)) + 1e-8 * np.eye(d)
+        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        proposal = Proposal(2.38 / math.sqrt(d) * root, u.mean(axis=0), math.sqrt(1.2) * root)
+    reference = np.mean([one.path for one in kept], axis=0)
+    return linearised_at(bound, thetas.mean(axis=0), [reference], proposal)

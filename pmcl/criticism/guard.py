@@ -1,0 +1,89 @@
+"""The first question, before anything is concluded from a filter, is whether it has lost the robot."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from pmcl.errors import FilterError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.predictive import Predictions, predict_readings
+from pmcl.models.robot_model import BoundModel
+
+__all__ = ["lost_at", "particles_that_follow"]
+
+Float = NDArray[np.float64]
+
+# A lost robot contradicts most channels of a row, row after row; a missing effect of some channels does not.
+_WINDOW, _CONTRADICTED = 12, 2.5
+# A fit may have bought its way out with noise; then a single row gives the loss away, in which most of several
+# channels are as far off as this.
+_ROW_CONTRADICTED, _ROW_CHANNELS = 4.5, 4
+# Filters of n and 4 n particles that follow the robot agree on a window to within some nats.
+_DISAGREEMENT = 60.0
+
+
+def lost_at(made: Predictions, n_steps: int) -> int | None:
+    """Return the first row at which a filter has lost the robot, or None.
+
+    It has where, over a dozen rows with readings, most readings of most rows lie beyond 2.5 standard deviations of
+    what was foreseen; or in one row most of at least four readings beyond 4.5.
+    """
+    middle = 0.5 * (made.low + made.high)
+    with np.errstate(invalid="ignore"):
+        size = np.abs(special.ndtri(np.clip(middle, 1e-12, 1.0 - 1e-12)))
+    rows = np.unique(made.time[~np.isnan(size)])
+    if rows.size < _WINDOW:
+        return None
+    known = ~np.isnan(size)
+    of_row = [size[known & (made.time == t)] for t in rows]
+    typical = np.array([np.median(values) for values in of_row])
+    several = np.array([values.size >= _ROW_CHANNELS for values in of_row])
+    windows = np.lib.stride_tricks.sliding_window_view(typical, _WINDOW)
+    lost = np.concatenate(
+        [
+            np.flatnonzero(np.median(windows, axis=1) > _CONTRADICTED),
+            np.flatnonzero(several & (typical > _ROW_CONTRADICTED)),
+        ]
+    )
+    return int(rows[lost.min()]) if lost.size else None
+
+
+def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed: int) -> tuple[int, str]:
+    """Check that a filter follows the robot, by a second one of four times as many particles and another seed.
+
+    Returns
+    -------
+    particles : int
+        The number to use: that given, or four times as many where only these follow.
+    note : str
+        What was changed and why; empty when nothing was.
+
+    Raises
+    ------
+    FilterError
+        When both lose the robot.
+    """
+    log, n_steps, tables = bound.logs[0], bound.lengths[0], bound.tables(theta)[0]
+    found, increments = [], []
+    for k, n in enumerate((particles, 4 * particles)):
+        try:
+            made = predict_readings(tables, n_steps, n, make_rng(np.random.SeedSequence((seed, k))))
+        except FilterError:
+            found.append(0)
+            increments.append(np.full(n_steps, -np.inf))
+            continue
+        lost = lost_at(made, n_steps)
+        found.append(-1 if lost is None else lost)
+        increments.append(made.filtered.log_increments)
+    if found[1] >= 0:
+        raise FilterError(
+            f"{log.where}: the filter loses the robot at t={log.times[found[1]]:g} s; "
+            "restart with a wider start belief or more particles"
+        )
+    with np.errstate(invalid="ignore"):
+        window = np.convolve(increments[1] - increments[0], np.ones(20), mode="valid")
+    if found[0] >= 0 or not window.max(initial=0.0) < _DISAGREEMENT:
+        return 4 * particles, f"{particles} particles lose the robot for a while; {4 * particles} are used"
+    return particles, ""

@@ -1,0 +1,116 @@
+"""One fitted model criticised: the log's evidence against that of logs which the model simulates."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.criticism.alarms import Judgement, judge
+from pmcl.criticism.evidence import Evidence, gather
+from pmcl.criticism.fit import Fit
+from pmcl.criticism.replicate import replicated_log
+from pmcl.criticism.scores import Direction, directions, fits
+from pmcl.errors import PmclError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
+
+__all__ = ["Settings", "candidate_directions", "criticised", "key_of", "mapped"]
+
+_logger = logging.getLogger("pmcl.criticism")
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a run, as :func:`pmcl.criticism.workflow.criticize` takes them."""
+
+    particles: int
+    seed: int
+    level: float
+    simulations: int
+    paths: int
+    workers: int
+    progress: bool
+
+    @property
+    def comparing(self) -> int:
+        """Particles for comparisons of log scores, whose error must stay below some nats."""
+        return 4 * self.particles
+
+    def tell(self, message: str) -> None:
+        """Log a step of the run, if that was asked for."""
+        if self.progress:
+            _logger.info("%s", message)
+
+
+def criticised(
+    log: RobotLog, fit: Fit, wanted: Sequence[Direction], split: int, settings: Settings
+) -> tuple[Evidence, Judgement, Float]:
+    """Return what a log tells about a fitted model, what that means, and the scores of the fit part by themselves.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The whole log, to which `fit` belongs.
+    fit : Fit
+        A fit of the whole log.
+    wanted : sequence of Direction
+        K candidates.
+    split : int
+        First row of the held-out part.
+    settings : Settings
+
+    Returns
+    -------
+    evidence : Evidence
+    judgement : Judgement
+    z : ndarray, shape (K,)
+        Deviations of the scores over the rows before `split`.
+    """
+    arguments: dict[str, Any] = {"particles": settings.particles, "paths": settings.paths}
+    # One more simulated log for each parameter: those are projected out of every number.
+    count = max(settings.simulations, 12 + 3 * fit.theta.size)
+    settings.tell(f"scoring {len(wanted)} directions, and simulating {count} logs")
+    found = gather(fit.bound, fit.theta, wanted, seed=np.random.SeedSequence((settings.seed, 1)), **arguments)
+
+    def simulated(k: int) -> Evidence:
+        rng = make_rng(np.random.SeedSequence((settings.seed, 2, k)))
+        bound = fit.bound.model.bind(replicated_log(log, fit.tables, fit.path, rng))
+        return gather(bound, fit.theta, wanted, seed=np.random.SeedSequence((settings.seed, 3, k)), **arguments)
+
+    null = mapped(simulated, count, settings.workers)
+    on_fit = judge(found, null, wanted, level=settings.level, rows=split)
+    return found, judge(found, null, wanted, level=settings.level), on_fit.z
+
+
+def candidate_directions(log: RobotLog, fit: Fit, offered: Sequence[Effect]) -> tuple[Direction, ...]:
+    """Return the directions of those effects that the fitted model lacks and that go together with it."""
+    present = {key_of(effect) for effect in fit.bound.model.effects}
+    usable = []
+    for effect in offered:
+        try:
+            if key_of(effect) not in present and fits(effect, fit.tables, log):
+                usable.append(effect)
+        except PmclError as error:
+            _logger.debug("%s is no candidate: %s", effect.name, error)
+    return directions(usable)
+
+
+def key_of(effect: Effect) -> tuple[str, tuple[Any, ...]]:
+    """Return what tells one instance of an effect from others."""
+    return effect.name, tuple((name, tuple(values)) for name, values in effect.where.items())
+
+
+def mapped(function: Callable[[int], Any], count: int, workers: int) -> list[Any]:
+    """Return the function's values at 0 ... count - 1, made by threads: kernels do not hold the lock."""
+    if workers == 1 or count < 2:
+        return [function(k) for k in range(count)]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(function, range(count)))

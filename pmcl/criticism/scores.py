@@ -1,0 +1,187 @@
+"""Scores of candidate effects without derivatives, from what editing the tables a little does to the log density.
+
+By Fisher's identity the score of the readings is the posterior mean, over trajectories, of the score of trajectory and
+readings together; and that one is a finite difference of densities between tables edited to either side of "no
+effect". So every effect is scored alike, also one of a user's own, and row by row, which says where and when.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.filtering.kernels import smc
+from pmcl.filtering.kernels.contract import state_size
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
+from pmcl.models.robot_model import BoundModel
+from pmcl.models.tables import RangeBeams, Tables
+
+__all__ = ["Direction", "base_rows", "directions", "effect_rows", "fits", "probe_values"]
+
+Float = NDArray[np.float64]
+
+# Half the distance between two edits, as a share of a clear effect: a slope, but not one taken within a hair's
+# breadth, where a beam that grazes an edge would dominate it and a mixture's score has no variance.
+_SIZE = 0.25
+_BASE_SIZE = 0.02
+# One row of one trajectory never counts for more [nat]: a reading that is impossible under a model says no more.
+_MOST = 50.0
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One parameter of one candidate effect, moved away from "no effect".
+
+    Attributes
+    ----------
+    effect : Effect
+        The candidate, at one place.
+    strength : int
+        Which of its parameters is moved.
+    above, below : ndarray, shape (k,)
+        Values between which the density is compared; `below` is the null of a one-sided effect.
+    one_sided : bool
+        Whether only a rise of the density speaks for the effect.
+    """
+
+    effect: Effect
+    strength: int
+    above: Float
+    below: Float
+    one_sided: bool
+
+
+def probe_values(effect: Effect, size: float, strength: int) -> Float:
+    """Return values (k,) at `size` times a clear magnitude; an effect without typical ones uses its prior's spread."""
+    if "clear" in effect.typical:
+        return effect.probe(size, strength)
+    values = np.array(effect.null, dtype=float)
+    spread = float(effect.parameters[strength].prior.std())
+    values[strength] += (np.sqrt(max(size, 0.0)) if effect.squared else size) * (spread if np.isfinite(spread) else 1.0)
+    return values
+
+
+def directions(effects: Sequence[Effect]) -> tuple[Direction, ...]:
+    """Return the directions in which candidate effects leave the null."""
+    made = []
+    for effect in effects:
+        for strength in effect.strengths:
+            one_sided = effect.squared or effect.one_sided(strength)
+            above = probe_values(effect, _SIZE, strength)
+            below = np.array(effect.null) if one_sided else probe_values(effect, -_SIZE, strength)
+            made.append(Direction(effect, strength, above, below, one_sided))
+    return tuple(made)
+
+
+def fits(effect: Effect, tables: Tables, log: RobotLog) -> bool:
+    """Return whether an effect leaves the states as they are, so that trajectories of the plain model can score it."""
+    edited = effect.edit(tables, np.array(effect.null), log)
+    return int(state_size(edited.motion)) == int(state_size(tables.motion))
+
+
+def effect_rows(tables: Tables, log: RobotLog, columns: Float, wanted: Sequence[Direction]) -> Float:
+    """Score candidate effects along trajectories.
+
+    Parameters
+    ----------
+    tables : Tables
+        Of the current model.
+    log : RobotLog
+        The log they belong to.
+    columns : ndarray, shape (M, D, T)
+        Trajectories drawn given all readings.
+    wanted : sequence of Direction
+        K directions.
+
+    Returns
+    -------
+    ndarray, shape (K, T)
+        Change of the log density [nat] of each row from `below` to `above` (from the middle, for two sides), mean over
+        the trajectories. Cost: K times two densities of M paths, of the tables that the effect edits only.
+    """
+    rows = np.zeros((len(wanted), columns.shape[2]))
+    terms = _Terms(columns)
+    for row, direction in zip(rows, wanted, strict=True):
+        above = direction.effect.edit(tables, direction.above, log)
+        if direction.one_sided:
+            terms.difference(above, tables, row)
+        else:
+            terms.difference(above, direction.effect.edit(tables, direction.below, log), row)
+            row *= 0.5
+    return rows
+
+
+def base_rows(bound: BoundModel, theta: Float, columns: Float) -> Float:
+    """Score the model's own parameters along trajectories, (d, T), by differences of 2 % of each to either side."""
+    rows = np.zeros((theta.size, columns.shape[2]))
+    terms = _Terms(columns)
+    spread = np.array([min(float(p.prior.std()), 1.0) for p in bound.parameters])
+    step = _BASE_SIZE * np.maximum(np.abs(theta), 0.1 * spread)
+    for k, row in enumerate(rows):
+        shift = step[k] * (np.arange(theta.size) == k)
+        terms.difference(bound.tables(theta + shift)[0], bound.tables(theta - shift)[0], row)
+    return 0.5 * rows
+
+
+def _differing_beams(one: RangeBeams, other: RangeBeams) -> tuple[RangeBeams, RangeBeams]:
+    """Keep the beams of two tables that are not the same in both: an effect of one beam costs no more than one beam."""
+    if one.vertices is not other.vertices or one.reading is not other.reading:
+        return one, other
+    fields = ("bias", "scale", "std", "outlier_weight")
+    same = (one.beam_pose == other.beam_pose).all(axis=1)
+    for name in fields:
+        same &= getattr(one, name) == getattr(other, name)
+    kept = np.flatnonzero(~same)
+    if kept.size == same.size:
+        return one, other
+    reading = np.ascontiguousarray(one.reading[:, kept])
+    changes = [
+        {name: getattr(table, name)[kept] for name in (*fields, "beam_pose")} | {"reading": reading}
+        for table in (one, other)
+    ]
+    return one._replace(**changes[0]), other._replace(**changes[1])
+
+
+def _bounded(above: Float, below: Float) -> Float:
+    """Return the mean change over trajectories (M, T), each within what a score can mean; impossible both ways is 0."""
+    with np.errstate(invalid="ignore"):
+        change = np.clip(above - below, -_MOST, _MOST)
+    return np.asarray(np.where(np.isnan(change), 0.0, change).mean(axis=0))
+
+
+class _Terms:
+    """Log densities of trajectories under tables, evaluated once for each table."""
+
+    def __init__(self, columns: Float) -> None:
+        self.columns = columns
+        self.known: dict[int, tuple[Any, Float]] = {}
+
+    def difference(self, above: Tables, below: Tables, row: Float) -> None:
+        """Add the change of each row's density from one set of tables to another; equal tables are skipped."""
+        if above.motion is not below.motion or above.start is not below.start:
+            row += _bounded(self._motion(above), self._motion(below))
+        for one, other in zip(above.sensors, below.sensors, strict=True):
+            if one is other:
+                continue
+            if type(one) is type(other) is RangeBeams:
+                one, other = _differing_beams(one, other)
+            row += _bounded(self._sensor(one), self._sensor(other))
+
+    def _motion(self, tables: Tables) -> Float:
+        return self._once(tables.motion, lambda: smc.motion_terms(tables.start, tables.motion, self.columns))
+
+    def _sensor(self, sensor: Any) -> Float:
+        return self._once(sensor, lambda: smc.sensor_terms(sensor, self.columns))
+
+    def _once(self, table: Any, evaluate: Any) -> Float:
+        # The table is kept with its value, so that its identity cannot pass to another one. Edited tables are not
+        # met twice; only the plain ones are worth remembering.
+        key = id(table)
+        if key not in self.known:
+            self.known[key] = (table, np.asarray(evaluate()))
+        return self.known[key][1]

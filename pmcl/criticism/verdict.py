@@ -1,0 +1,89 @@
+"""The verdict, and one sentence that says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pmcl.criticism.alarms import Judgement
+from pmcl.criticism.result import Estimate, FoundEffect, Step, Unexplained
+from pmcl.models.effects.effect import Effect
+
+__all__ = ["EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "called", "sentence_of", "verdict_of"]
+
+NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
+
+# What nothing explains must be this improbable to count as an unknown effect: an alarm that a named effect confirms
+# is worth more than one that nothing does, and the alarms are asked again after each effect that was added.
+_ALONE, _REMAINS = 0.02, 0.01
+# Alarms weaker than this count for nothing unless a known effect confirms them: no formula is sought.
+WORTH_A_FORMULA = _ALONE
+
+
+def called(effect: Effect | FoundEffect) -> str:
+    """Return an effect's name with its place, e.g. "beam-bias (beams 2)"."""
+    place = ", ".join(f"{key} {', '.join(f'{v:g}' for v in values)}" for key, values in effect.where.items())
+    return f"{effect.name} ({place})" if place else effect.name
+
+
+def verdict_of(found: Sequence[FoundEffect], last: Judgement) -> str:
+    """Return the verdict from what was accepted and what the final model still leaves unusual."""
+    if last.raised and last.p_value <= (_REMAINS if found else _ALONE):
+        return UNKNOWN
+    return EXPLAINED if found else NOTHING
+
+
+def sentence_of(
+    verdict: str,
+    found: Sequence[FoundEffect],
+    unexplained: Sequence[Unexplained],
+    steps: Sequence[Step],
+    before: Mapping[str, Estimate],
+    after: Mapping[str, Estimate],
+) -> str:
+    """Return the verdict in one sentence for a robot engineer."""
+    parts = []
+    if found:
+        names = "; ".join(_told(effect) for effect in found)
+        gain = steps[-1].gap.log_score_per_reading - steps[0].gap.log_score_per_reading
+        parts.append(f"{names}; with that in the model the held-out score rises by {gain:.3g} nats per reading")
+        changed = _greatest_change(before, after)
+        if changed:
+            parts.append(changed)
+    if verdict == NOTHING:
+        weak = f"; a weak alarm (p = {unexplained[0].p_value:.1e}) is confirmed by nothing" if unexplained else ""
+        return f"No missing effect: nothing about this log is unusual under the model{weak}"
+    if verdict == UNKNOWN:
+        worst = unexplained[0]
+        where = worst.channel + (f" of {', '.join(map(str, worst.beams))}" if worst.beams else "")
+        depends = f", depending on {worst.covariate}" if worst.covariate else ""
+        rest = "something more is" if found else "something is"
+        parts.append(
+            f"{rest} missing that no known effect explains: {where}{depends}, most in rows {worst.time[0]} to "
+            f"{worst.time[1]} (p = {worst.p_value:.1e})"
+        )
+    text = "; ".join(parts)
+    return text[:1].upper() + text[1:]
+
+
+def _told(effect: FoundEffect) -> str:
+    numbers = ", ".join(
+        f"{name} = {one.mean:.3g} +- {one.sd:.1g}{' ' + one.unit if one.unit != '1' else ''}"
+        for name, one in effect.parameters.items()
+    )
+    twins = f" (or {', '.join(effect.not_distinguishable_from)})" if effect.not_distinguishable_from else ""
+    return f"{called(effect)}{twins}: {effect.summary.rstrip('.')} ({numbers})"
+
+
+def _greatest_change(before: Mapping[str, Estimate], after: Mapping[str, Estimate]) -> str:
+    """Say which parameter of the base model changed most, when it changed by more than its uncertainty."""
+    changes = {
+        name: abs(after[name].mean - one.mean) / max(one.sd, 1e-12) for name, one in before.items() if name in after
+    }
+    if not changes:
+        return ""
+    name = max(changes, key=lambda key: changes[key])
+    if changes[name] < 2.0:
+        return ""
+    verb = "falls" if after[name].mean < before[name].mean else "rises"
+    unit = "" if before[name].unit == "1" else f" {before[name].unit}"
+    return f"{name} {verb} from {before[name].mean:.3g} to {after[name].mean:.3g}{unit}"

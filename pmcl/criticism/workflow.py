@@ -1,0 +1,295 @@
+"""The whole loop: criticise, name, add, refit, compare on held-out data, and again until nothing alarms or helps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pmcl.criticism.assemble import (
+    candidates_of,
+    drawn_estimates,
+    estimates,
+    found_effect,
+    measured,
+    unexplained_of,
+)
+from pmcl.criticism.fit import Fit, quick_fit
+from pmcl.criticism.formulas import formulas
+from pmcl.criticism.guard import particles_that_follow
+from pmcl.criticism.heldout import gap_of
+from pmcl.criticism.naming import Trial, choose, scan, shortlist, spare_effects, trial_of_base, try_effect, worth_it
+from pmcl.criticism.passes import Settings, candidate_directions, criticised, mapped
+from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
+from pmcl.criticism.scores import Direction, directions
+from pmcl.criticism.verdict import WORTH_A_FORMULA, called, sentence_of, verdict_of
+from pmcl.errors import CriticismError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.predictive import predict_readings
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.catalogue import candidates
+from pmcl.models.effects.effect import Effect
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.posterior.calibrate import calibrate
+
+__all__ = ["criticize"]
+
+_LEAST_ROWS, _LEAST_READINGS = 60, 20
+_FIT_SHARE = 0.6
+_FORMULAS = 4
+
+
+def criticize(
+    log: RobotLog,
+    model: RobotModel | None = None,
+    *,
+    effects: Sequence[Effect] | None = None,
+    particles: int = 500,
+    seed: int = 0,
+    level: float = 0.05,
+    simulations: int = 30,
+    paths: int = 15,
+    rounds: int = 3,
+    joint: bool = True,
+    draws: int = 500,
+    workers: int | None = None,
+    progress: bool = False,
+) -> Criticism:
+    """Find where a model and a log disagree, name the missing effect, add it, and show the gap shrink.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log; its reference trajectory and true parameters are never read.
+    model : RobotModel, optional
+        The base model; the default model of the log when left out.
+    effects : sequence of Effect, optional
+        Candidates; every instance of the catalogue that the log can show when left out.
+    particles : int
+        Particles of scored passes; comparisons of log scores use four times as many.
+    seed : int
+        All randomness follows from it.
+    level : float
+        Rate of false alarms.
+    simulations : int
+        Logs that the fitted model simulates to learn what is usual.
+    paths : int
+        Trajectories over which scores are averaged.
+    rounds : int
+        How many effects may be added.
+    joint : bool
+        Whether the final model is calibrated by full chains; otherwise the quick fit's numbers stand.
+    draws : int
+        Draws of each of the four final chains.
+    workers : int, optional
+        Threads; one for each core when left out. The result does not depend on it.
+    progress : bool
+        Log each step as it is made.
+
+    Returns
+    -------
+    Criticism
+
+    Raises
+    ------
+    CriticismError
+        When the log is too short to split, or nothing in it moves.
+    FilterError
+        When the filter loses the robot: local scores would then mean nothing.
+    PmclError
+        When model and log do not fit each other.
+    """
+    settings = Settings(particles, seed, level, simulations, paths, workers or os.cpu_count() or 1, progress)
+    log = log.without_truth()
+    _check(log, simulations, level, rounds)
+    return _Loop(log, model or default_model(log), effects, settings).run(rounds, joint, draws)
+
+
+def _check(log: RobotLog, simulations: int, level: float, rounds: int) -> None:
+    if log.n_steps < _LEAST_ROWS:
+        raise CriticismError(
+            f"{log.where}: expected at least {_LEAST_ROWS} rows, to fit on one part and judge on another, but got "
+            f"{log.n_steps}; record longer"
+        )
+    if not np.any(log.odometry[1:] != 0.0):
+        raise CriticismError(
+            f"{log.where}: expected a robot that moves, but all odometry is zero; drive, and turn both ways"
+        )
+    if simulations < 15:
+        raise CriticismError(f"expected at least 15 simulated logs, but got {simulations}; ask for more")
+    if not 0.0 < level < 0.5 or rounds < 1:
+        raise CriticismError(
+            f"expected a level between 0 and 0.5 and at least one round, but got {level:g} and {rounds}; choose others"
+        )
+
+
+def _readings(log: RobotLog, rows: slice) -> int:
+    names = ("range", "landmark_range", "landmark_bearing", "landmark_size")
+    return sum(int((~np.isnan(log.dataset[name].values[rows])).sum()) for name in names if name in log.dataset)
+
+
+class _Loop:
+    """The state of one run."""
+
+    def __init__(
+        self, log: RobotLog, model: RobotModel, effects: Sequence[Effect] | None, settings: Settings
+    ) -> None:
+        self.log, self.base, self.settings = log, model, settings
+        self.split = int(_FIT_SHARE * log.n_steps)
+        parts = [_readings(log, rows) for rows in (slice(0, self.split), slice(self.split, None))]
+        if min(parts) < _LEAST_READINGS:
+            raise CriticismError(
+                f"{log.where}: expected at least {_LEAST_READINGS} readings in the first 60 % of the log and in the "
+                f"rest, but got {parts[0]} and {parts[1]}; record more"
+            )
+        self.offered = tuple(candidates(log) if effects is None else effects)
+        self.notes: list[str] = []
+        self.steps: list[Step] = []
+        self.found: list[FoundEffect] = []
+
+    def run(self, rounds: int, joint: bool, draws: int) -> Criticism:
+        """Go through the loop."""
+        self.settings.tell("fitting the base model")
+        fit = quick_fit(self.base.bind(self.log), self.settings.seed)
+        particles, note = particles_that_follow(fit.bound, fit.theta, self.settings.particles, self.settings.seed)
+        if note:
+            self.notes.append(note)
+            self.settings = replace(self.settings, particles=particles)
+        first = last = self._pass(fit)
+        seen = first.evidence.predictions
+        if len(set(zip(seen.kind.tolist(), seen.channel.tolist(), strict=True))) < 2:
+            self.notes.append("one channel only: its own errors cannot be told from those of the path")
+        current: Trial | None = None
+        for number in range(rounds + 1):
+            alarms = last.judgement.raised
+            if not alarms or number == rounds:
+                decision = f"stop after {rounds} effects" if alarms else "nothing unusual"
+                self._record(last, current or self._trial_of(last), [], decision)
+                break
+            self.settings.tell(f"alarm: {alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}")
+            current = current or self._trial_of(last)
+            accepted, trials = self._named(last, current)
+            if accepted is None and last.judgement.p_value <= WORTH_A_FORMULA:
+                accepted, more = self._formula(last, current)
+                trials += more
+            if accepted is None:
+                self._record(last, current, trials, "nothing known explains it")
+                break
+            assert accepted.effect is not None
+            self._record(last, current, trials, f"add {accepted.effect.name}", accepted)
+            gain = accepted.on_heldout.total
+            self.settings.tell(f"added {called(accepted.effect)}: {gain:+.1f} nats on held-out data")
+            current = self._without_spare(accepted)
+            seed = self.settings.seed + number + 1
+            last = self._pass(
+                quick_fit(current.model.bind(self.log), seed, theta=current.fit.theta, path=last.fit.path)
+            )
+        return self._result(first, last, joint, draws)
+
+    def _pass(self, fit: Fit) -> Pass:
+        self.wanted = candidate_directions(self.log, fit, self.offered)
+        found, judged, self.fit_z = criticised(self.log, fit, self.wanted, self.split, self.settings)
+        return Pass(fit, found, judged)
+
+    def _trial_of(self, last: Pass) -> Trial:
+        """Fit the model of a pass on the fit part; gaps are always those of held-out data."""
+        return trial_of_base(
+            last.fit.bound.model, self.log, self.split, seed=self.settings.seed + 100,
+            particles=self.settings.comparing, theta=last.fit.theta, path=last.fit.path,
+        )  # fmt: skip
+
+    def _named(self, last: Pass, current: Trial) -> tuple[Trial | None, list[Trial]]:
+        """Return the accepted trial or None, and all trials."""
+        settings, z = self.settings, self.fit_z
+        scanned = scan(current.fit.bound, current.fit.theta, self.wanted, z, settings.seed, settings.particles)
+        trials = self._tried(current, shortlist(self.wanted, z, scanned))
+        best, twins = choose(trials)
+        if best is not None and best.effect is not None and best.effect.absorber:
+            trials += self._tried(current, shortlist(self.wanted, z, scanned, more=True))
+            best, twins = choose(trials)
+        if best is None or not worth_it(best, last.judgement.critical_z):
+            return None, trials
+        self.found.append(found_effect(best, twins, last.judgement, self.wanted))
+        return best, trials
+
+    def _formula(self, last: Pass, current: Trial) -> tuple[Trial | None, list[Trial]]:
+        """Look outside the catalogue: return the accepted formula or None, and all trials."""
+        wanted: tuple[Direction, ...] = directions(formulas(self.log, last.fit.tables, last.fit.path))
+        _, judged, z = criticised(self.log, last.fit, wanted, self.split, self.settings)
+        order = [int(k) for k in np.argsort(-np.abs(z)) if abs(judged.z[k]) > judged.critical_z]
+        trials = self._tried(current, [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]])
+        best, _ = choose(trials)
+        if best is None or not worth_it(best, judged.critical_z):
+            return None, trials
+        self.found.append(found_effect(best, (), judged, wanted))
+        return best, trials
+
+    def _tried(self, current: Trial, chosen: list[tuple[Effect, float]]) -> list[Trial]:
+        if chosen:
+            self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in chosen))
+
+        def one(k: int) -> Trial | None:
+            effect, z = chosen[k]
+            seed, particles = self.settings.seed + 100, self.settings.comparing
+            return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles)
+
+        return [trial for trial in mapped(one, len(chosen), self.settings.workers) if trial is not None]
+
+    def _without_spare(self, accepted: Trial) -> Trial:
+        """Drop effects that the newest one makes superfluous: an early alias must not stay."""
+        own = len(self.base.effects)
+        trial, dropped = spare_effects(
+            accepted, own, self.log, self.split, seed=self.settings.seed + 100, particles=self.settings.comparing
+        )
+        for position in dropped:
+            gone = self.found.pop(position - own)
+            self.notes.append(f"{gone.name} was added first and dropped when a later effect explained it")
+        return trial
+
+    def _record(
+        self, last: Pass, current: Trial, trials: list[Trial], decision: str, accepted: Trial | None = None
+    ) -> None:
+        bound = current.model.bind(self.log)
+        rng = make_rng(np.random.SeedSequence((self.settings.seed, 4)))
+        seen = predict_readings(bound.tables(current.fit.theta)[0], self.log.n_steps, self.settings.comparing, rng)
+        gap = gap_of(seen, seen.pit(rng), slice(self.split, None))
+        names = tuple(effect.name for effect in bound.model.effects)
+        listed = candidates_of(last.judgement, self.wanted, trials, accepted)
+        self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
+
+    def _result(self, first: Pass, last: Pass, joint: bool, draws: int) -> Criticism:
+        before, after, posterior = estimates(first.fit), estimates(last.fit), None
+        model = last.fit.bound.model
+        if joint and self.found:
+            self.settings.tell("calibrating the final model")
+            posterior = calibrate(
+                self.log, model, draws=draws, seed=self.settings.seed, progress=self.settings.progress
+            )
+            after = drawn_estimates(last.fit, posterior)
+        added = model.named_effects[len(self.base.effects) :]
+        found = tuple(measured(one, effect, after) for one, effect in zip(self.found, added, strict=True))
+        unexplained = unexplained_of(last, self.wanted)
+        verdict = verdict_of(found, last.judgement)
+        settings: dict[str, Any] = vars(self.settings) | {"split": self.split, "log": self.log.fingerprint()}
+        del settings["workers"]  # the result does not depend on it
+        return Criticism(
+            verdict=verdict,
+            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after),
+            effects=found,
+            unexplained=unexplained,
+            steps=tuple(self.steps),
+            base=self.base,
+            model=model,
+            before=before,
+            after=after,
+            log=self.log,
+            split=self.split,
+            first=first,
+            last=last,
+            posterior=posterior,
+            notes=tuple(self.notes),
+            settings=settings,
+        )

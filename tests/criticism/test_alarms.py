@@ -1,0 +1,75 @@
+"""Calibration by simulated logs: false alarms come at the rate that was asked for, and effects raise alarms."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pmcl.criticism.alarms import judge
+from pmcl.criticism.features import Feature
+from pmcl.criticism.scores import directions
+from pmcl.models.effects.effect import Effect
+from pmcl.models.parameters import Parameter
+
+# mypy: disable-error-code="no-untyped-def, arg-type"
+
+LOGS, CANDIDATES, FEATURES, OWN = 30, 20, 40, 4
+
+
+def _wanted():
+    def nothing(tables, values, log, where):
+        return tables
+
+    return directions(
+        [
+            Effect(f"e{k}", ".", (Parameter(f"p{k}", "1", stats.norm()),), (0.0,), nothing, typical={"clear": (1.0,)})
+            for k in range(CANDIDATES)
+        ]
+    )
+
+
+def _evidence(rng, shift=0.0, own=0.0):
+    """Scores that share a common part, and that the model's own parameters partly explain."""
+    base = rng.standard_normal((OWN, 1)) * 3.0 + own
+    mixing = np.sin(np.arange(CANDIDATES * OWN).reshape(CANDIDATES, OWN))
+    scores = rng.standard_normal((CANDIDATES, 1)) + rng.standard_normal() + mixing @ base
+    scores[3] += shift
+    families = ("uniformity", "serial", "covariate", "fluctuation")
+    features = tuple(Feature(families[k % 4], "range", covariate=str(k)) for k in range(FEATURES))
+    numbers = rng.standard_normal(FEATURES) * 2.0 + 5.0
+    return SimpleNamespace(base=base, scores=scores, features=features, numbers=numbers)
+
+
+def test_false_alarms_come_at_the_rate_asked_for(rng):
+    wanted, runs, alarms, own = _wanted(), 400, 0, []
+    for _ in range(runs):
+        found, null = _evidence(rng), [_evidence(rng) for _ in range(LOGS)]
+        judged = judge(found, null, wanted, level=0.05)
+        alarms += bool(judged.raised)
+        own.append(judged.z[0])
+    # Four binomial standard deviations around 5 %; 9 % would be seen.
+    assert abs(alarms / runs - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / runs)
+    assert stats.kstest(own, "norm").pvalue > 1e-3
+
+
+def test_an_effect_is_seen_and_is_the_worst(rng):
+    seen = [judge(_evidence(rng, 9.0), [_evidence(rng) for _ in range(LOGS)], _wanted(), level=0.05) for _ in range(20)]
+    assert sum(one.raised[0].worst.kind == "e3" if one.raised else False for one in seen) >= 18
+
+
+def test_what_the_models_own_parameters_explain_is_projected_out(rng):
+    """A bad fit of the model's own parameters moves every score, and is no missing effect."""
+    null = [_evidence(rng) for _ in range(LOGS)]
+    plain = [judge(_evidence(rng, own=6.0), null, _wanted(), level=0.05) for _ in range(40)]
+    assert sum(bool(one.raised) for one in plain) <= 8
+
+
+@pytest.mark.parametrize("level", [0.01, 0.2])
+def test_level_is_respected(level, rng):
+    null = [_evidence(rng) for _ in range(LOGS)]
+    judged = judge(_evidence(rng), null, _wanted(), level=level)
+    for alarm in judged.raised:
+        assert alarm.p_value <= level

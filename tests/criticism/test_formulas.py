@@ -1,0 +1,85 @@
+"""Effects outside the catalogue: formulas that edit tables, and the search that finds one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pmcl.criticism.formulas import filled_in, formulas
+from pmcl.criticism.workflow import criticize
+from pmcl.models.effects.effect import Effect
+from pmcl.models.parameters import Parameter
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.robots.amigobot import simulate_amigobot
+
+# mypy: disable-error-code="no-untyped-def"
+
+NOISE = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
+
+
+@pytest.fixture(scope="module")
+def library():
+    log = simulate_amigobot(120.0, 3, NOISE)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(np.array([NOISE[name] for name in bound.names]))[0]
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    return log, tables, {effect.name: effect for effect in formulas(log, tables, path)}
+
+
+def test_formulas_do_what_they_say(library):
+    log, tables, library = library
+    turned = library["formula: turn += c*cos(heading)"].edit(tables, [0.03], log).motion
+    heading = np.unwrap(log.true_poses[:, 2])
+    np.testing.assert_allclose(turned.mean[:, 2] - tables.motion.mean[:, 2], 0.03 * np.cos(heading), atol=1e-12)
+    faster = library["formula: translation *= 1 + c*abs(turn_rate)"].edit(tables, [0.5], log).motion
+    rate = np.abs(log.odometry[1:, 2])
+    np.testing.assert_allclose(faster.mean[1:, 0], tables.motion.mean[1:, 0] * (1.0 + 0.5 * rate), atol=1e-12)
+    noisier = library["formula: log sigma_turn += c*speed"].edit(tables, [2.0], log).motion
+    speed = np.hypot(log.odometry[1:, 0], log.odometry[1:, 1])
+    np.testing.assert_allclose(noisier.std[1:, 2], 0.04 * np.exp(2.0 * speed))
+    assert sum("[x in" in name for name in library) >= 4
+
+
+def test_null_changes_nothing_and_parts_of_a_log_work(library):
+    log, tables, library = library
+    part = log.select(0, 50)
+    bound = default_model(part).bind(part)
+    short = bound.tables(np.array([NOISE[name] for name in bound.names]))[0]
+    for effect in library.values():
+        same = effect.edit(tables, effect.null, log)
+        np.testing.assert_array_equal(same.motion.mean, tables.motion.mean)
+        np.testing.assert_array_equal(same.motion.std, tables.motion.std)
+        assert effect.edit(short, effect.magnitude("clear"), part).motion.mean.shape == (50, 3)
+
+
+def test_formulas_are_effects_of_an_ordinary_model(library):
+    log, _, library = library
+    effects = list(library.values())[:3]
+    bound = RobotModel(sensors=default_model(log).sensors, effects=tuple(effects)).bind(log)
+    assert [name for name in bound.names if name.startswith("formula_")] == [e.parameters[0].name for e in effects]
+
+
+def test_coefficient_is_filled_in():
+    assert filled_in("formula: turn += c*cos(heading)", 0.0312) == "formula: turn += 0.0312*cos(heading)"
+
+
+@pytest.mark.slow
+def test_drift_outside_the_catalogue_is_found_as_a_formula():
+    def drifting(tables, values, log, where):
+        mean = tables.motion.mean.copy()
+        mean[:, 2] += values[0] * (log.times - 150.0)
+        return tables._replace(motion=tables.motion._replace(mean=mean))
+
+    ramp = Parameter("gyro_ramp", "rad/s^2", stats.norm(0.0, 1e-2))
+    drift = Effect(
+        "gyro-ramp", "The gyro warms up.", (ramp,), (0.0,), drifting, carrier="motion", typical={"clear": (4e-4,)}
+    )
+    log = simulate_amigobot(300.0, 3, NOISE, effects=((drift, (5e-4,)),), hide_effects=True)
+    found = criticize(log, simulations=20, joint=False, seed=1, rounds=1)
+    (effect,) = found.effects
+    assert effect.name.startswith("formula: turn += 0.000")
+    assert "time" in effect.name
+    (estimate,) = effect.parameters.values()
+    assert abs(estimate.mean - 5e-4) < 5.0 * estimate.sd

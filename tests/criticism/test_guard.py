@@ -1,0 +1,58 @@
+"""A lost filter is noticed, and one that is only too small is enlarged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmcl.criticism.guard import lost_at, particles_that_follow
+from pmcl.errors import FilterError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.predictive import predict_readings
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.robot_model import default_model
+from pmcl.robots.amigobot import simulate_amigobot
+
+# mypy: disable-error-code="no-untyped-def"
+
+NOISE = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
+
+
+@pytest.fixture(scope="module")
+def log():
+    return simulate_amigobot(120.0, 6, NOISE)
+
+
+def _carried(log):
+    """From row 60 the readings are those of another place."""
+    dataset = log.dataset.copy(deep=True)
+    dataset["range"].values[60:] = dataset["range"].values[:60]
+    return RobotLog(dataset, "carried.nc")
+
+
+def test_a_filter_that_follows_is_left_alone(log):
+    bound = default_model(log).bind(log)
+    theta = np.array([NOISE[name] for name in bound.names])
+    assert particles_that_follow(bound, theta, 300, 1) == (300, "")
+
+
+def test_a_robot_that_was_carried_away_is_lost_from_then_on(log):
+    carried = _carried(log)
+    bound = default_model(carried).bind(carried)
+    theta = np.array([NOISE[name] for name in bound.names])
+    made = predict_readings(bound.tables(theta)[0], 120, 500, make_rng(1))
+    lost = lost_at(made, 120)
+    assert lost is not None
+    assert 50 <= lost <= 75
+    with pytest.raises(FilterError, match=r"carried.nc: the filter loses the robot at t=\d+ s; restart with"):
+        particles_that_follow(bound, theta, 500, 1)
+
+
+def test_a_missing_effect_of_one_channel_is_no_lost_robot(log):
+    dataset = log.dataset.copy(deep=True)
+    dataset["range"].values[:, 2] += 0.5
+    wrong = RobotLog(dataset, "biased")
+    bound = default_model(wrong).bind(wrong)
+    theta = np.array([NOISE[name] for name in bound.names])
+    theta[3] = 0.15
+    assert lost_at(predict_readings(bound.tables(theta)[0], 120, 500, make_rng(1)), 120) is None

@@ -1,0 +1,75 @@
+"""Logs that never were: the same drive, and noise as the model says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pmcl.criticism.covariates import incidence
+from pmcl.criticism.replicate import replicated_log
+from pmcl.filtering.kernels.steering import steered_path
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.models.motion import increment_residuals
+from pmcl.models.robot_model import default_model
+from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.robots.landmark_field import simulate_landmark_field
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+@pytest.fixture(params=["walls", "landmarks"])
+def log(request):
+    if request.param == "walls":
+        return simulate_amigobot(200.0, 5, {"sigma_forward": 0.03, "sigma_turn": 0.05})
+    return simulate_landmark_field(200, 5, bearings=True, reach=12.0)
+
+
+def _reference(log):
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    return path
+
+
+def test_same_drive_and_the_same_readings_missing(log):
+    bound = default_model(log).bind(log)
+    theta = np.array([log.true_theta[name] for name in bound.names])
+    before = log.odometry.copy()
+    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))
+    np.testing.assert_array_equal(log.odometry, before)
+    for name in ("range", "landmark_range", "landmark_bearing"):
+        if name in log.dataset:
+            old, new = log.dataset[name].values, made.dataset[name].values
+            np.testing.assert_array_equal(np.isnan(old), np.isnan(new))
+            assert not np.array_equal(old, new, equal_nan=True)
+    # Commands are the log's with a correction well below the noise of a step.
+    correction = (made.odometry - log.odometry)[1:]
+    assert np.all(correction.std(axis=0) < theta[:3])
+    assert made.true_poses is None
+
+
+def test_noise_of_a_step_is_the_models_and_independent_of_its_command(log):
+    bound = default_model(log).bind(log)
+    theta = np.array([log.true_theta[name] for name in bound.names])
+    tables, reference = bound.tables(theta)[0], _reference(log)
+    noise, correction = [], []
+    for seed in range(20):
+        motion = tables.motion._replace(mean=tables.motion.mean.copy())
+        path, change = steered_path(motion, make_rng(seed), reference[0], reference, 0.15)
+        noise.append(increment_residuals(motion.mean, path) / theta[:3])
+        correction.append(change[1:])
+        assert np.abs(path[:, :2] - reference[:, :2]).max() < 12.0 * theta[:2].max()
+    flat, pull = np.concatenate(noise), np.concatenate(correction)
+    for k in range(3):
+        assert stats.kstest(flat[:, k], "norm").pvalue > 1e-4
+        assert abs(np.corrcoef(flat[:, k], pull[:, k])[0, 1]) < 5.0 / np.sqrt(len(flat))
+
+
+def test_incidence_is_the_angle_to_the_walls_normal():
+    log = simulate_amigobot(40.0, 5)
+    table = default_model(log).bind(log).tables(np.array([0.05, 0.03, 0.05, 0.1]))[0].sensors[0]
+    table = table._replace(beam_pose=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, -0.7]]))
+    # From the middle of the lower arm straight at the right wall.
+    angles = incidence(table, np.array([[1.5, 1.0, 0.0]]))
+    # The third meets the lower wall.
+    np.testing.assert_allclose(angles[0], [0.0, 0.3, 0.5 * np.pi - 0.7], atol=1e-4)

@@ -1,0 +1,111 @@
+"""Scores by Fisher's identity against exact gradients of the Kalman evidence, and where they may save work."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from oracles import kalman
+from oracles.random_walk_model import rail_log, rail_model
+from scipy import stats
+
+from pmcl.criticism.scores import base_rows, directions, effect_rows
+from pmcl.filtering.kernels import smc
+from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
+from pmcl.models.effects.catalogue import candidates
+from pmcl.models.effects.effect import Effect
+from pmcl.models.parameters import Parameter
+from pmcl.models.robot_model import default_model
+from pmcl.robots.amigobot import simulate_amigobot
+
+# mypy: disable-error-code="no-untyped-def"
+
+# Away from the best fit, so that gradients are large against their Monte Carlo error.
+THETA = np.array([0.8, 0.7])
+
+
+def pushed(tables, values, log, where):
+    return tables._replace(motion=tables.motion._replace(control=tables.motion.control + values[0]))
+
+
+def noisier(tables, values, log, where):
+    (sensor,) = tables.sensors
+    return tables._replace(sensors=(sensor._replace(std=math.hypot(sensor.std, values[0])),))
+
+
+PUSH = Effect(
+    "push", "The cart is pushed.", (Parameter("push", "m", stats.norm(0.0, 0.2)),), (0.0,), pushed, carrier="motion",
+    typical={"clear": (0.2,)},
+)  # fmt: skip
+NOISE = Effect(
+    "noise", "Readings are noisier.", (Parameter("noise", "m", stats.halfnorm(scale=0.4)),), (0.0,), noisier,
+    typical={"clear": (0.4,)}, squared=True,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cart():
+    log = rail_log(25, seed=3, missing=(3, 9))
+    bound = rail_model().bind(log)
+    tables = bound.tables(THETA)[0]
+    scores = []
+    wanted = directions((PUSH, NOISE))
+    for seed in range(30):
+        rng = make_rng(seed)
+        paths = draw_paths(tables, run_filter(tables, 25, 500, rng), 60, rng)
+        columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
+        rows = np.concatenate([base_rows(bound, THETA, columns), effect_rows(tables, log, columns, wanted)])
+        scores.append(rows.sum(axis=1))
+    return kalman.linear_model(tables), np.array(scores), wanted
+
+
+def _agree(draws, exact):
+    error = abs(draws.mean() - exact)
+    tolerance = 5.0 * draws.std(ddof=1) / math.sqrt(draws.size)
+    assert tolerance < 0.25 * abs(exact), "too few draws to see an error of a quarter"
+    assert error < tolerance
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_scores_of_own_parameters_are_gradients_of_the_evidence(cart, which):
+    model, scores, _ = cart
+    step = 1e-4 * (np.arange(2) == which)
+    gradient = kalman.log_evidence(model, *(THETA + step)) - kalman.log_evidence(model, *(THETA - step))
+    size = 0.02 * max(THETA[which], 0.1 * min(stats.gamma(3.0, scale=0.2).std(), 1.0))
+    _agree(scores[:, which], gradient / 2e-4 * size)
+
+
+def test_score_of_an_effect_is_the_gradient_of_the_evidence(cart):
+    model, scores, wanted = cart
+    step = 1e-4
+    ahead, behind = (
+        kalman.log_evidence(model._replace(control=model.control + sign * step), *THETA) for sign in (1.0, -1.0)
+    )
+    # The log density of a path is quadratic in a push, so its central difference is its slope.
+    assert wanted[0].above[0] == pytest.approx(-wanted[0].below[0])
+    _agree(scores[:, 2], (ahead - behind) / (2.0 * step) * wanted[0].above[0])
+
+
+def test_effects_with_one_side_are_compared_with_none(cart):
+    _, scores, wanted = cart
+    assert wanted[1].one_sided
+    assert wanted[1].below[0] == 0.0
+    assert wanted[1].above[0] == pytest.approx(0.2)
+    assert np.all(np.isfinite(scores[:, 3]))
+
+
+def test_beams_that_stay_the_same_are_skipped_without_a_difference():
+    log = simulate_amigobot(40.0, 3)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    paths = np.array([log.dataset["true_pose"].values + 0.01 * k for k in range(3)])
+    columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
+    of_one_beam = [effect for effect in candidates(log) if effect.name in ("beam-bias", "beam-yaw")]
+    wanted = directions(of_one_beam)
+    assert len(wanted) == 16
+    for direction, row in zip(wanted, effect_rows(tables, log, columns, wanted), strict=True):
+        above, below = (direction.effect.edit(tables, v, log) for v in (direction.above, direction.below))
+        whole = smc.sensor_terms(above.sensors[0], columns) - smc.sensor_terms(below.sensors[0], columns)
+        np.testing.assert_allclose(row, 0.5 * whole.mean(axis=0), atol=1e-9)
+        assert np.abs(row).max() > 1e-3
