@@ -48,7 +48,7 @@ _PARTICLES = click.IntRange(min=2)
     "--least-particles", type=_PARTICLES, help="Adapt the number of particles to the belief, from these to --particles."
 )
 @click.option("--start-particles", type=_PARTICLES, help="Particles of the first row; --particles.")
-@click.option("--draws", type=_COUNT, help="Draws of the posterior to work with (method posterior); 200.")
+@click.option("--draws", type=_COUNT, help="Draws of the posterior to work with (method posterior); 100.")
 @click.option("--draws-per-reading", type=_COUNT, help="Draws that each row's readings are averaged over; 10.")
 @click.option("--start", type=click.Choice(["log", "anywhere"]), help="Where the robot may begin; as the log says.")
 @click.option("--recover", is_flag=True, help="Look for the robot elsewhere when its readings become unlikely.")

@@ -26,7 +26,7 @@ class FilterOptions:
     Attributes
     ----------
     draws : int, optional
-        Draws K of the posterior that the method ``posterior`` works with, evenly out of all chains; 200, or all when
+        Draws K of the posterior that the method ``posterior`` works with, evenly out of all chains; 100, or all when
         there are fewer.
     draws_per_reading : int, optional
         How many of them each row's readings are averaged over (the k of eq. 24), chosen anew at each row; 10, or all
@@ -44,6 +44,18 @@ class FilterOptions:
         sampling). Without it the number stays as it is.
     start_particles : int, optional
         Number of particles of the first row; the number given when left out.
+
+    Notes
+    -----
+    Why 10 draws per reading (``analyses/draws_per_reading``; four logs, posteriors from one minute of data, n = 500,
+    against 50 draws): with 1, 2, 5, 10, 20 draws the position error is 0.2, 0.2, 0.1, 0.0, 0.2 % greater, with a
+    standard error of 0.1 %, so it hardly depends on k; the log score is lower by 0.010, 0.004, 0.003, 0.002, 0.003 nat
+    a row, and the time a row 82, 91, 114, 149, 221 and with 50 draws 449 microseconds. Draws that are chosen once for
+    the whole run are up to 2.5 % worse and depend on luck: hence anew at each row.
+
+    A start anywhere needs no more than the usual 500 particles with the annealed first reading: in the L-shaped room
+    of the Amigobot 100 of 100 starts converge with 500, 98 and 99 (usual and sharp readings) with 200, 94 and 95 with
+    100. Without annealing it is 75 and 69 with 500, and 95 and 85 with 5000.
 
     References
     ----------

@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 METHODS = ("mean", "map", "posterior", "prior")
 """Ways to choose theta; a given theta replaces what they give."""
 
-_DRAWS, _DRAWS_PER_READING = 200, 10
+_DRAWS, _DRAWS_PER_READING = 100, 10
 
 
 def choose_theta(

@@ -6,6 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import xarray as xr
@@ -37,6 +38,8 @@ class LogArrays:
 
     dataset: xr.Dataset
     where: str = "robot log"
+    is_whole: ClassVar[bool] = True
+    """Whether these are all rows of a log; the latest rows of a robot that is still running are not."""
 
     @property
     def n_steps(self) -> int:

@@ -102,7 +102,7 @@ class GrowingIncrementNoise:
     def bind(self, log: RobotLog) -> BoundGrowingIncrementNoise:
         """Take mean, distance and turn of each increment from the log's odometry."""
         mean = owned(log.odometry)
-        if not (np.hypot(mean[:, 0], mean[:, 1]).any() or mean[:, 2].any()):
+        if log.is_whole and not (np.hypot(mean[:, 0], mean[:, 1]).any() or mean[:, 2].any()):
             raise ModelError(
                 f"{log.where}: noise that grows needs a robot that moves, but all odometry increments are zero; "
                 "use motion = 'increment'"

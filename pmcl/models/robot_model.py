@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -131,8 +132,12 @@ class _Slots:
     index: Int
     value: Float
 
+    @cached_property
+    def some_fixed(self) -> bool:
+        return bool((self.index < 0).any())
+
     def take(self, theta: Float) -> Float:
-        return np.where(self.index >= 0, theta[self.index], self.value) if (self.index < 0).any() else theta[self.index]
+        return np.where(self.index >= 0, theta[self.index], self.value) if self.some_fixed else theta[self.index]
 
 
 class BoundModel:
@@ -175,6 +180,18 @@ class BoundModel:
         self._log_prior: Callable[[Float], float] = log_prior_function(self.parameters)
         if self.names:
             self.check(self.prior_mean())
+
+    def on_later_rows(self, log: RobotLog) -> BoundModel:
+        """Return the same model on other rows of its one log, with its start as it is.
+
+        Nothing is checked again: this serves a robot that binds its model anew at every time step.
+        """
+        other = object.__new__(BoundModel)
+        other.__dict__.update(self.__dict__)
+        start = self.parts[0][0]
+        other.logs, other.lengths = (log,), (log.n_steps,)
+        other.parts = ((start, *(part.bind(log) for part in self.model.parts[1:])),)
+        return other
 
     def __getstate__(self) -> dict[str, object]:
         # The compiled prior is a closure, which pools of processes cannot pickle; it is made again from the parameters.

@@ -1,0 +1,152 @@
+"""The latest rows of a log that is still being made, as models see them."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmcl.errors import LogError
+from pmcl.logs.robot_log import RobotLog
+
+__all__ = ["RecentRows"]
+
+Float = NDArray[np.float64]
+_CHANNELS = ("range", "landmark_range", "landmark_bearing", "landmark_size")
+
+
+class RecentRows(RobotLog):
+    """The first row of a log and its latest ones: a window of bounded length over a log without end.
+
+    Map, mounts and start are those of a log in the same format. A model that is bound to these rows sees its usual log,
+    only that the rows between the first and the latest are missing; the latest row is the last.
+
+    Parameters
+    ----------
+    robot : RobotLog
+        Any log of the robot: it tells map, mounts, channels and start. Its rows are not used.
+    memory : int
+        Rows kept, at least 3: one before the latest for sensors that look back, more for effects that reach back
+        farther, such as a latency.
+
+    Raises
+    ------
+    LogError
+        When `memory` is too short.
+    """
+
+    def __init__(self, robot: RobotLog, memory: int) -> None:
+        if memory < 3:
+            raise LogError(f"expected a memory of at least 3 rows, but got {memory}; 8 are usual")
+        values: dict[str, object] = {"dataset": robot.dataset, "where": robot.where, "_memory": memory, "_seen": 0}
+        widths = {name: robot.dataset[name].shape[1] for name in _CHANNELS if name in robot.dataset}
+        values["_rows"] = {name: np.empty((0, width)) for name, width in {"odometry": 3, **widths}.items()}
+        values["_times"] = np.empty(0)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    is_whole: ClassVar[bool] = False
+    _memory: int
+    _seen: int
+    _rows: dict[str, Float]
+    _times: Float
+
+    def __post_init__(self) -> None:
+        """Nothing: the rows are checked as they come."""
+
+    def add(self, time: float, odometry: ArrayLike | None, readings: dict[str, ArrayLike | None]) -> None:
+        """Check one more row and keep it; on an error the rows stay as they were.
+
+        Parameters
+        ----------
+        time : float
+            Sample time [s], later than that of the row before.
+        odometry : array_like, shape (3,)
+            Displacement since the row before, in its frame [m, m, rad]; not read at the first row.
+        readings : dict of str to array_like
+            Readings by the names of the log format; None or NaN where nothing was measured.
+
+        Raises
+        ------
+        LogError
+            When something is missing, of the wrong shape or not a possible reading.
+        """
+        what = f"time {time:g} s"
+        if not np.isfinite(time) or (self._times.size and not time > self._times[-1]):
+            last = f"later than the last one, {self._times[-1]:g} s" if self._times.size else "that is finite"
+            raise LogError(f"expected a time {last}, but got {time:g} s; give the sample times in order")
+        row = {"odometry": self._odometry(odometry, what)}
+        for name, values in readings.items():
+            if name in self._rows:
+                row[name] = self._reading(name, values, what)
+            elif values is not None:
+                raise LogError(f"{what}: expected no '{name}', which this robot does not have; leave it out")
+        # Row 0 stays for good: models may count from it. The oldest of the others makes room.
+        drop = [1] if self._times.size == self._memory else []
+        object.__setattr__(self, "_times", np.append(np.delete(self._times, drop), time))
+        for name, kept in self._rows.items():
+            self._rows[name] = np.concatenate([np.delete(kept, drop, axis=0), row[name][None]])
+        object.__setattr__(self, "_seen", self._seen + self.readings_of_last_row())
+
+    def _odometry(self, odometry: ArrayLike | None, what: str) -> Float:
+        if not self._times.size:
+            return np.zeros(3)
+        values = np.asarray(np.nan if odometry is None else odometry, dtype=float)
+        if values.shape != (3,) or not np.isfinite(values).all():
+            raise LogError(
+                f"{what}: expected odometry as (forward [m], left [m], turn [rad]) since the last row, but got "
+                f"{odometry!r}; give three finite numbers"
+            )
+        return values
+
+    def _reading(self, name: str, values: ArrayLike | None, what: str) -> Float:
+        width = self._rows[name].shape[1]
+        if values is None:
+            return np.full(width, np.nan)
+        found = np.array(values, dtype=float)
+        if found.shape != (width,):
+            raise LogError(f"{what}: expected {width} numbers in '{name}', but got shape {found.shape}; NaN is missing")
+        wrong = found < 0.0 if name != "landmark_bearing" else np.isinf(found)
+        wrong |= np.isinf(found) if name in ("landmark_range", "landmark_size") else False
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise LogError(f"{what}: expected possible readings in '{name}', but got {found[k]:g} at place {k}")
+        return found
+
+    def readings_of_last_row(self) -> int:
+        """Return the number of beam readings and landmark sightings of the latest row."""
+        rows = {name: values[-1] for name, values in self._rows.items() if name != "odometry"}
+        beams = int(np.count_nonzero(~np.isnan(rows["range"]))) if "range" in rows else 0
+        seen = [~np.isnan(values) for name, values in rows.items() if name != "range"]
+        return beams + (int(np.count_nonzero(np.any(seen, axis=0))) if seen else 0)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of rows kept."""
+        return int(self._times.size)
+
+    @property
+    def n_readings(self) -> int:
+        """Number of readings so far; at least one, as a robot may wait for its first."""
+        return max(self._seen, 1)
+
+    @property
+    def times(self) -> Float:
+        """Sample times of the rows kept [s]."""
+        return self._times
+
+    @property
+    def odometry(self) -> Float:
+        """Odometry increments of the rows kept; row 0 is zero."""
+        return self._rows["odometry"]
+
+    @property
+    def true_poses(self) -> None:
+        """Nothing: a robot does not know them."""
+        return
+
+    def _optional(self, name: str) -> Float | None:
+        if name == "landmark_time_offset":
+            return None
+        return self._rows[name] if name in self._rows else super()._optional(name)
