@@ -74,3 +74,12 @@ def test_methods_agree_with_their_reference_as_far_as_their_errors_go(small):
     for name in ("conditional:10", "smoothing:10", "ensemble:50"):
         wall = np.array([float(row["wall"]) for row in curves if row["method"] == name])
         assert (np.diff(wall) > 0.0).all()
+
+
+@pytest.mark.slow
+def test_the_position_error_hardly_depends_on_the_draws_per_reading(small):
+    rows = {(row["draws"], row["k"]): row for row in read(small("draws_per_reading") / "results.csv")}
+    assert set(rows) == {("mean", "0"), ("anew", "1"), ("anew", "5"), ("fixed", "1"), ("fixed", "5")}
+    errors = [float(rows[way]["position_rmse"]) for way in (("mean", "0"), ("anew", "1"), ("anew", "5"))]
+    assert max(errors) < 1.15 * min(errors)
+    assert all(float(row["standard_error"]) > 0.0 for row in rows.values())
