@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.kernels.geometry import BEARING, RANGE, SIZE, ReadingGeometry, pack_geometry
+from pmcl.filtering.kernels.geometry import BEARING, RANGE, SIZE, ReadingGeometry, RichGeometry, pack_geometry
 from pmcl.filtering.kernels.landmarks import ideal_sightings
 from pmcl.filtering.kernels.rays import cast_rays
+from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
 from pmcl.models.tables import LandmarkSightings, RangeBeams
 
-__all__ = ["beam_lengths", "ideal_readings", "reading_geometry"]
+__all__ = ["beam_lengths", "ideal_readings", "moved_geometry", "reading_geometry"]
 
 Float = NDArray[np.float64]
 
@@ -46,15 +47,28 @@ def ideal_readings(table: Any, path: Float) -> Any:
     return None
 
 
-@ideal_readings.register
-def _(table: RangeBeams, path: Float) -> Float:
+@ideal_readings.register(RangeBeams)
+@ideal_readings.register(RichRangeBeams)
+def _(table: Any, path: Float) -> Float:
     return beam_lengths(table, path)
 
 
-def beam_lengths(table: RangeBeams, path: Float) -> Float:
-    """Return the length of each beam's ray [m], shape (T, B), from poses `path` (T, >= 3)."""
+def beam_lengths(table: RangeBeams | RichRangeBeams, path: Float) -> Float:
+    """Return the length of each beam's ray [m], shape (T, B), from poses `path` (T, >= 3).
+
+    Of a beam with a width it is that of the shortest of the five rays across its cone.
+    """
+    lengths = _ray_lengths(table, table.beam_pose, path)
+    if isinstance(table, RichRangeBeams) and table.width.any():
+        for share in (-0.5, -0.25, 0.25, 0.5):
+            mount = table.beam_pose.copy()
+            mount[:, 2] += share * table.width
+            lengths = np.minimum(lengths, _ray_lengths(table, mount, path))
+    return lengths
+
+
+def _ray_lengths(table: RangeBeams | RichRangeBeams, mount: Float, path: Float) -> Float:
     c, s = np.cos(path[:, 2, None]), np.sin(path[:, 2, None])
-    mount = table.beam_pose
     origins = np.stack(
         [
             path[:, 0, None] + c * mount[:, 0] - s * mount[:, 1],
@@ -66,12 +80,13 @@ def beam_lengths(table: RangeBeams, path: Float) -> Float:
     return cast_rays(table.vertices, table.wall_start, table.wall_stop, origins)
 
 
-@ideal_readings.register
-def _(table: LandmarkSightings, path: Float) -> Float:
+@ideal_readings.register(LandmarkSightings)
+@ideal_readings.register(RichLandmarks)
+def _(table: Any, path: Float) -> Float:
     return np.asarray(ideal_sightings(table, np.ascontiguousarray(path)))
 
 
-def _relative(table: LandmarkSightings, path: Float, time: NDArray[np.int64]) -> tuple[Float, Float]:
+def _relative(table: Any, path: Float, time: NDArray[np.int64]) -> tuple[Float, Float]:
     """Return each sighted landmark in the frame of the mounted sensor, without its yaw."""
     pose = path[time]
     delta = table.position[table.landmark[: time.size]] - pose[:, :2]
@@ -96,8 +111,36 @@ def reading_geometry(table: Any, reference: Float) -> Any:
 
 @reading_geometry.register
 def _(table: RangeBeams, reference: Float) -> ReadingGeometry:
+    return _beam_geometry(table, reference)
+
+
+@reading_geometry.register
+def _(table: RichRangeBeams, reference: Float) -> RichGeometry:
+    gross = (table.outlier_weight, table.no_echo_weight, table.short_weight, table.talk_weight)
+    sound = np.prod([1.0 - weight for weight in gross], axis=0)
+    rows = reference.shape[0]
+    std = table.std * table.std_factor[:rows, None]
+    made = _beam_geometry(
+        table._replace(reading=table.reading[:rows] - table.bias_at[:rows, None], std=std, outlier_weight=1.0 - sound),
+        reference,
+    )
+    made = made._replace(reading=np.ascontiguousarray(made.reading + table.bias_at[_times_of(made)]))
+    return _enriched(made, reference, made.value.copy(), np.ones(made.value.size))
+
+
+def _times_of(geometry: ReadingGeometry | RichGeometry) -> NDArray[np.int64]:
+    return np.repeat(np.arange(geometry.first.size - 1), np.diff(geometry.first))
+
+
+def _enriched(geometry: ReadingGeometry, reference: Float, distance: Float, depth: Float) -> RichGeometry:
+    """Add distance, depth, and how fast the ideal value changes along the reference."""
+    step = np.diff(reference, axis=0, prepend=reference[:1])[_times_of(geometry)]
+    return RichGeometry(*geometry, np.einsum("kd,kd->k", geometry.jacobian, step), distance, depth)
+
+
+def _beam_geometry(table: Any, reference: Float) -> ReadingGeometry:
     value = beam_lengths(table, reference)
-    z = table.reading
+    z = table.reading[: reference.shape[0]]
     usable = ~np.isnan(z) & np.isfinite(value) & (z > 0.0) & (z < table.max_range)
     jacobian = np.zeros((*value.shape, reference.shape[1]))
     for d, step in enumerate(_PROBE_STEP):
@@ -124,6 +167,23 @@ def _(table: RangeBeams, reference: Float) -> ReadingGeometry:
 
 @reading_geometry.register
 def _(table: LandmarkSightings, reference: Float) -> ReadingGeometry:
+    return _sighting_geometry(table, reference)
+
+
+@reading_geometry.register
+def _(table: RichLandmarks, reference: Float) -> RichGeometry:
+    gross = 1.0 - (1.0 - table.outlier_weight) * (1.0 - table.misread_weight)
+    made = _sighting_geometry(table._replace(outlier_weight=gross), reference)
+    delta = table.position[made.channel] - reference[_times_of(made), :2]
+    heading = reference[_times_of(made), 2]
+    c, s = np.cos(heading), np.sin(heading)
+    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
+    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
+    depth = np.cos(np.arctan2(aside, ahead) - table.sensor_pose[2])
+    return _enriched(made, reference, np.hypot(ahead, aside), depth)
+
+
+def _sighting_geometry(table: Any, reference: Float) -> ReadingGeometry:
     n_steps, size = reference.shape
     time = table.time[: table.first[n_steps]]
     which = table.landmark[: time.size]
@@ -161,6 +221,63 @@ def _(table: LandmarkSightings, reference: Float) -> ReadingGeometry:
         jacobian[:, :3] = slope[seen]
         rows.append((time[seen], which[seen], np.full(seen.size, kind), z[seen], value[seen], jacobian, weight[seen]))
     return pack_geometry(n_steps, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+_BEAM_PLACE = ("beam_pose", "vertices", "width")
+_LANDMARK_PLACE = ("position", "sensor_pose")
+
+
+def _same_place(table: Any, made_from: Any, fields: tuple[str, ...]) -> bool:
+    pairs = [(getattr(table, name), getattr(made_from, name)) for name in fields if hasattr(table, name)]
+    return all(a is b or np.array_equal(a, b) for a, b in pairs)
+
+
+@singledispatch
+def moved_geometry(table: Any, made_from: Any, geometry: Any, reference: Float) -> Any:
+    """Return a linearisation for a table whose mount or map is not that of the table it was made from.
+
+    Parameters
+    ----------
+    table : NamedTuple
+        A sensor table under some theta.
+    made_from : NamedTuple
+        The table that `geometry` was made from.
+    geometry : NamedTuple
+        From :func:`reading_geometry`.
+    reference : ndarray, shape (T, D)
+        The reference trajectory.
+
+    Returns
+    -------
+    NamedTuple
+        `geometry` itself where nothing has moved; else one with the ideal values that `table` has at the reference.
+        Slopes stay. Cost: O(readings) where something has moved.
+    """
+    return geometry
+
+
+@moved_geometry.register(RangeBeams)
+@moved_geometry.register(RichRangeBeams)
+def _(table: Any, made_from: Any, geometry: Any, reference: Float) -> Any:
+    if _same_place(table, made_from, _BEAM_PLACE):
+        return geometry
+    lengths = beam_lengths(table, reference)[_times_of(geometry), geometry.channel]
+    # A beam that meets nothing from its new place says as little as it can: what it said before.
+    return geometry._replace(value=np.where(np.isfinite(lengths), lengths, geometry.value))
+
+
+@moved_geometry.register(LandmarkSightings)
+@moved_geometry.register(RichLandmarks)
+def _(table: Any, made_from: Any, geometry: Any, reference: Float) -> Any:
+    if _same_place(table, made_from, _LANDMARK_PLACE):
+        return geometry
+    place = reference[_times_of(geometry)]
+    delta = table.position[geometry.channel] - place[:, :2]
+    c, s = np.cos(place[:, 2]), np.sin(place[:, 2])
+    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
+    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
+    distance, bearing = np.maximum(np.hypot(ahead, aside), 1e-9), np.arctan2(aside, ahead) - table.sensor_pose[2]
+    return geometry._replace(value=np.choose(geometry.kind, [distance, bearing, distance**-2.0]))
 
 
 def _wrapped(angle: Float) -> Float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.resampling import SCHEMES
 from pmcl.filtering.particle_filter import FilterPass, check_particles, raise_outcome
+from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
 from pmcl.models.tables import LandmarkSightings, RangeBeams, Tables
 
 __all__ = ["Predictions", "ReadingIndex", "predict_readings", "reading_index"]
@@ -51,15 +52,17 @@ def reading_index(table: Any, n_steps: int) -> ReadingIndex:
     return ReadingIndex((type(table).__name__,), nothing, nothing, rows, np.full(n_steps, np.nan))
 
 
-@reading_index.register
-def _(table: RangeBeams, n_steps: int) -> ReadingIndex:
+@reading_index.register(RangeBeams)
+@reading_index.register(RichRangeBeams)
+def _(table: Any, n_steps: int) -> ReadingIndex:
     n_beams = table.reading.shape[1]
     time, beam = np.divmod(np.arange(n_steps * n_beams, dtype=np.int64), n_beams)
     return ReadingIndex(("range",), np.zeros_like(beam), beam, time, table.reading[:n_steps].ravel())
 
 
-@reading_index.register
-def _(table: LandmarkSightings, n_steps: int) -> ReadingIndex:
+@reading_index.register(LandmarkSightings)
+@reading_index.register(RichLandmarks)
+def _(table: Any, n_steps: int) -> ReadingIndex:
     n = int(table.first[n_steps])
     sighting, kind = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
     reading = np.stack([table.range[:n], table.bearing[:n], table.size[:n]], axis=-1).ravel()

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pmcl.errors import ModelError
+from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.parameters import Parameter
@@ -40,6 +41,7 @@ def simulate_landmark_field(
     ranges: bool = True,
     bearings: bool = False,
     reach: float = np.inf,
+    field_of_view: float = np.inf,
     effects: Sequence[Given] = (),
     hide_effects: bool = False,
 ) -> RobotLog:
@@ -60,6 +62,8 @@ def simulate_landmark_field(
         What the robot reads of each landmark.
     reach : float
         Landmarks whose true distance is greater are not seen [m].
+    field_of_view : float
+        Angle, half of it to each side of straight ahead, outside of which landmarks are not seen [rad].
     effects : sequence, optional
         Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
         :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
@@ -112,11 +116,11 @@ def simulate_landmark_field(
         )
 
     used = [name for name, wanted in (("range", ranges), ("bearing", bearings)) if wanted]
-    empty = logged(dict.fromkeys(used, _seen(positions, path, reach)))
+    empty = logged(dict.fromkeys(used, _seen(positions, path, reach, field_of_view)))
     affected = affected_by(effects, empty, seed, motion, sensor, truth)
     if affected.moves_differently:
         path, command = affected.drive(empty, start, _driver(), rng)
-        empty = logged(dict.fromkeys(used, _seen(positions, path, reach)))
+        empty = logged(dict.fromkeys(used, _seen(positions, path, reach, field_of_view)))
     return logged(draw_sightings(affected.tables(empty).sensors[0], empty, path, rng), affected)
 
 
@@ -124,9 +128,10 @@ def _driver() -> WaypointDriver:
     return WaypointDriver(_WAYPOINTS, step=0.5, turn=0.6, reached=0.8, aim=0.8)
 
 
-def _seen(positions: np.ndarray, path: np.ndarray, reach: float) -> np.ndarray:
-    distance = np.hypot(*(positions - path[:, None, :2]).transpose(2, 0, 1))
-    return np.where(distance <= reach, 1.0, np.nan)
+def _seen(positions: np.ndarray, path: np.ndarray, reach: float, field_of_view: float) -> np.ndarray:
+    dx, dy = (positions - path[:, None, :2]).transpose(2, 0, 1)
+    aside = np.abs(wrap(np.arctan2(dy, dx) - path[:, 2, None]))
+    return np.where((np.hypot(dx, dy) <= reach) & (aside <= 0.5 * field_of_view), 1.0, np.nan)
 
 
 def _border(count: int) -> np.ndarray:

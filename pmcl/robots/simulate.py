@@ -23,7 +23,9 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.predict import ideal_readings
 from pmcl.geometry import wrap
 from pmcl.models.parameters import Parameter, prior_support
+from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
 from pmcl.models.tables import IncrementMotion, LandmarkSightings, RangeBeams
+from pmcl.robots.rich_readings import draw_range_readings, draw_sighting_readings
 
 __all__ = ["check_run", "draw_theta", "make_rng", "simulate_path", "simulate_readings"]
 
@@ -215,3 +217,7 @@ def _(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> Landma
         for seen, wild, sound in zip(measured, anything, plain, strict=True)
     ]
     return table._replace(range=new[0], bearing=new[1], size=new[2])
+
+
+simulate_readings.register(RichRangeBeams, draw_range_readings)
+simulate_readings.register(RichLandmarks, draw_sighting_readings)

@@ -33,10 +33,17 @@ def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
         digest.update(f"{effect.name} {sorted((key, tuple(value)) for key, value in effect.where.items())}".encode())
     for tables in bound.tables(bound.prior_mean()):
         for table in (tables.start, tables.motion, *tables.sensors):
-            for name, value in zip(type(table)._fields, table, strict=True):
-                digest.update(name.encode() + np.asarray(value).tobytes())
+            _digest_table(digest, table)
     digest.update(json.dumps(dict(settings), sort_keys=True, default=str).encode())
     return digest.hexdigest()
+
+
+def _digest_table(digest: Any, table: Any) -> None:
+    for name, value in zip(type(table)._fields, table, strict=True):
+        if isinstance(value, tuple):
+            _digest_table(digest, value)
+        else:
+            digest.update(name.encode() + np.asarray(value).tobytes())
 
 
 def check_fingerprint(path: str, expected: str, *, resume: bool) -> None:

@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from pmcl.filtering.kernels.linear import factorise, refresh_blocks, transport_trial
-from pmcl.filtering.predict import reading_geometry
+from pmcl.filtering.predict import moved_geometry, reading_geometry
 from pmcl.models.robot_model import BoundModel
+from pmcl.models.tables import Tables
 from pmcl.sampling.transforms import Unconstrained
 
 __all__ = ["Proposal", "Transport", "TransportResult", "linearised_at", "transport_moves"]
@@ -90,11 +91,28 @@ class Transport:
         For each log and sensor: its readings, linearised at the reference.
     proposal : Proposal
         How theta' is proposed.
+    sensors : tuple of tuple
+        For each log: the sensor tables that the geometries were made from.
     """
 
     references: tuple[Float, ...]
     geometries: tuple[tuple[Any, ...], ...]
     proposal: Proposal
+    sensors: tuple[tuple[Any, ...], ...] = ()
+
+    def geometries_at(self, all_tables: Sequence[Tables]) -> list[tuple[Any, ...]]:
+        """Return the linearised readings under some theta: sensors and maps may have moved with it."""
+        if not self.sensors:
+            return list(self.geometries)
+        return [
+            tuple(
+                moved_geometry(table, made_from, geometry, reference)
+                for table, made_from, geometry in zip(tables.sensors, sensors, geometries, strict=True)
+            )
+            for tables, sensors, geometries, reference in zip(
+                all_tables, self.sensors, self.geometries, self.references, strict=True
+            )
+        ]
 
 
 def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal) -> Transport | None:
@@ -104,20 +122,27 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
     then no transport move.
     """
     geometries = []
-    for tables, reference in zip(bound.tables(theta), references, strict=True):
+    all_tables = bound.tables(theta)
+    for tables, reference in zip(all_tables, references, strict=True):
         made = tuple(reading_geometry(sensor, reference) for sensor in tables.sensors)
         if any(geometry is None for geometry in made):
             return None
         geometries.append(made)
-    transport = Transport(tuple(np.ascontiguousarray(r) for r in references), tuple(geometries), proposal)
+    transport = Transport(
+        tuple(np.ascontiguousarray(r) for r in references),
+        tuple(geometries),
+        proposal,
+        tuple(tables.sensors for tables in all_tables),
+    )
     return transport if _factorisations(bound, theta, transport) is not None else None
 
 
 def _factorisations(bound: BoundModel, theta: Float, transport: Transport) -> list[Any] | None:
+    all_tables = bound.tables(theta)
     made = [
         factorise(tables, geometry, reference)
         for tables, geometry, reference in zip(
-            bound.tables(theta), transport.geometries, transport.references, strict=True
+            all_tables, transport.geometries_at(all_tables), transport.references, strict=True
         )
     ]
     return made if all(math.isfinite(one[0]) for one in made) else None
@@ -187,10 +212,11 @@ def transport_moves(
         prior = bound.log_prior(theta_new)
         if not prior > -math.inf:
             continue
+        all_tables = bound.tables(theta_new)
         trials = [
             transport_trial(tables, geometry, reference, path, *one[1:4])
             for tables, geometry, reference, path, one in zip(
-                bound.tables(theta_new), transport.geometries, transport.references, paths, now, strict=True
+                all_tables, transport.geometries_at(all_tables), transport.references, paths, now, strict=True
             )
         ]
         joint_new = prior + math.fsum(trial[0] for trial in trials)
@@ -211,8 +237,9 @@ def _redrawn(
 ) -> tuple[list[Float], float, float]:
     """Redraw all paths in blocks with boundaries chosen anew; return (paths, log joint, share accepted)."""
     new, log_joint, accepted = [], bound.log_prior(theta), []
+    all_tables = bound.tables(theta)
     for tables, geometry, reference, old in zip(
-        bound.tables(theta), transport.geometries, transport.references, paths, strict=True
+        all_tables, transport.geometries_at(all_tables), transport.references, paths, strict=True
     ):
         n_steps = old.shape[0]
         inner = np.arange(1 + rng.integers(_BLOCK), n_steps, _BLOCK)

@@ -12,6 +12,7 @@ from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.tables import Tables
+from pmcl.robots.aibo import simulate_aibo
 from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field
 
@@ -29,14 +30,31 @@ def field_log(n_steps: int = 80) -> RobotLog:
     return simulate_landmark_field(n_steps, 12, FIELD, bearings=True)
 
 
+@cache
+def camera_log(n_steps: int = 80) -> RobotLog:
+    """Landmarks seen by a camera that looks ahead."""
+    return simulate_landmark_field(n_steps, 13, FIELD, bearings=True, field_of_view=2.0)
+
+
+@cache
+def aibo_log(n_steps: int = 80) -> RobotLog:
+    return simulate_aibo(float(n_steps), 14, {"sigma_size": 0.1})
+
+
+LOGS = (sonar_log, field_log, camera_log, aibo_log)
+
+
 def log_for(effect: Effect, n_steps: int = 80) -> RobotLog:
     """A log that can show an effect: sonars where they can, else landmarks."""
-    return next(log for log in (sonar_log(n_steps), field_log(n_steps)) if effect.applies(log))
+    return next(log for log in (make(n_steps) for make in LOGS) if effect.applies(log))
 
 
 def instance(effect: Effect, log: RobotLog, which: int = 1) -> Effect:
-    """One instance of an effect, not the first where there are several."""
+    """One instance of an effect, not the first where there are several; a place that the robot often comes by."""
     made = effect.instances(log)
+    if "place" in made[0].where:
+        distance = [np.hypot(*(log.true_poses[:, :2] - one.where["place"]).T) for one in made]
+        return made[int(np.argmin([np.quantile(values, 0.2) for values in distance]))]
     return made[min(which, len(made) - 1)]
 
 

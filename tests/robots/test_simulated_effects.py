@@ -6,7 +6,17 @@ import json
 
 import numpy as np
 import pytest
-from oracles.effect_logs import BY_NAME, FIELD, NAMES, SONAR, base_tables, instance, log_for, row_densities
+from oracles.effect_logs import (
+    BY_NAME,
+    FIELD,
+    NAMES,
+    SONAR,
+    base_tables,
+    field_log,
+    instance,
+    log_for,
+    row_densities,
+)
 
 import pmcl
 from pmcl.errors import ModelError
@@ -19,9 +29,13 @@ ROWS, STANDARD_ERRORS = 500, 5.0
 
 def simulated(effect, values, seed, n_steps=ROWS):
     given = {"effects": [(effect, values)], "hide_effects": True}
-    if effect.applies(log_for(effect)) and log_for(effect).ranges is not None:
+    log = log_for(effect)
+    if log.ranges is not None:
         return pmcl.simulate_amigobot(float(n_steps), seed, SONAR, **given)
-    return simulate_landmark_field(n_steps, seed, FIELD, bearings=True, **given)
+    if log.landmark_size is not None:
+        return pmcl.simulate_aibo(float(n_steps), seed, {"sigma_size": 0.1}, **given)
+    view = np.inf if effect.applies(field_log()) else 2.0
+    return simulate_landmark_field(n_steps, seed, FIELD, bearings=True, field_of_view=view, **given)
 
 
 def path_of(log):
@@ -48,7 +62,8 @@ def test_the_true_size_of_an_effect_is_more_likely_than_none(name):
     assert gain.mean() > 2.0 * gain.std() / np.sqrt(gain.size)
 
 
-@pytest.mark.parametrize("name", NAMES)
+# Rounded readings lie in the middle of their cells, where a density by the step of the rounding has no score.
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "quantized-readings"])
 def test_the_score_of_a_simulated_effect_has_mean_zero_at_its_true_size(name):
     """The slope of the log density of each row by the effect's strength, at the truth; elsewhere it is not zero."""
     log = log_for(BY_NAME[name])
@@ -75,6 +90,34 @@ def test_the_score_of_a_simulated_effect_has_mean_zero_at_its_true_size(name):
         other = np.concatenate(wrong[k])
         off[k] = abs(other.mean()) / (other.std() / np.sqrt(other.size))
     assert max(off.values()) > STANDARD_ERRORS
+
+
+@pytest.mark.parametrize("field", ["bias", "scale", "std"])
+def test_rounded_readings_have_the_probabilities_of_their_cells(field):
+    effect, slopes, wrong = BY_NAME["quantized-readings"], [], []
+    for seed in (4, 5, 6):
+        made = simulated(effect, [0.15], seed)
+        tables, path = effect.edit(base_tables(made), [0.15], made), path_of(made)
+        (beams,) = tables.sensors
+        assert np.abs(beams.reading / 0.15 - np.round(beams.reading / 0.15)).max() < 1e-9
+        for found, off in ((slopes, 0.0), (wrong, 0.1)):
+            centre = getattr(beams, field) * (1.0 + off) + 0.1 * off
+            terms = [
+                row_densities(tables._replace(sensors=(beams._replace(**{field: centre + h}),)), path)
+                for h in (1e-5, -1e-5)
+            ]
+            found.append((terms[0] - terms[1]) / 2e-5)
+    slope, other = np.concatenate(slopes), np.concatenate(wrong)
+    assert abs(slope.mean()) < STANDARD_ERRORS * slope.std() / np.sqrt(slope.size)
+    assert abs(other.mean()) > STANDARD_ERRORS * other.std() / np.sqrt(other.size)
+
+
+def test_the_digits_of_rounded_readings_tell_their_step():
+    effect = BY_NAME["quantized-readings"]
+    assert effect.tells(pmcl.simulate_amigobot(100.0, 3)) == {}
+    for step in (0.01, 0.08, 0.3):
+        told = effect.tells(pmcl.simulate_amigobot(300.0, 3, SONAR, effects=[f"quantized-readings={step}"]))
+        assert told["quantized_readings"] == pytest.approx(step, rel=1e-6)
 
 
 def test_without_effects_nothing_changes():

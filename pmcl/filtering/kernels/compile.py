@@ -77,8 +77,8 @@ def _package_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + path.read_bytes())
-    tables = Path(__file__).parents[2] / "models" / "tables.py"
-    digest.update(tables.read_bytes())
+    for path in sorted((Path(__file__).parents[2] / "models").glob("*tables.py")):
+        digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 
 

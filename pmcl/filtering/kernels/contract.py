@@ -180,7 +180,9 @@ def _whole_row(sensor, t, slot, previous, current, logp, low, high, memory, scra
 def _transition_row_by_row(motion, n_steps, path, logp, scratch):
     size = path.shape[0]
     before, after, value = scratch[0, :size], scratch[1, :size], scratch[2, :1]
-    work = scratch[3:]
+    # As wide as one state: functions over whole rows would otherwise do everything T times over.
+    rows, columns = scratch_rows(motion), scratch.shape[1]
+    work = scratch.reshape(scratch.size)[3 * columns : 3 * columns + rows].reshape(rows, 1)
     for t in range(1, n_steps):
         for d in range(size):
             before[d], after[d] = path[d, t - 1], path[d, t]
@@ -193,7 +195,8 @@ def _transition_row_by_row(motion, n_steps, path, logp, scratch):
 def _readings_row_by_row(sensor, n_steps, path, logp, scratch):
     size = path.shape[0]
     before, now, value = scratch[0, :size], scratch[1, :size], scratch[2, :1]
-    work = scratch[3:]
+    rows, columns = scratch_rows(sensor), scratch.shape[1]
+    work = scratch.reshape(scratch.size)[3 * columns : 3 * columns + rows].reshape(rows, 1)
     for t in range(n_steps):
         if not has_reading(sensor, t):
             continue

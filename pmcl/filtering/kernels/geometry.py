@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pmcl.filtering.kernels.compile import kernel
 
-__all__ = ["BEARING", "RANGE", "SIZE", "ReadingGeometry", "add_information", "pack_geometry"]
+__all__ = ["BEARING", "RANGE", "SIZE", "ReadingGeometry", "RichGeometry", "add_information", "pack_geometry"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -44,6 +44,33 @@ class ReadingGeometry(NamedTuple):
     value: Float
     jacobian: Float
     weight: Float
+
+
+class RichGeometry(NamedTuple):
+    """A :class:`ReadingGeometry` with what richer tables need beside.
+
+    Attributes
+    ----------
+    first, channel, kind, reading, value, jacobian, weight
+        As for :class:`ReadingGeometry`.
+    velocity : ndarray, shape (M,)
+        Change of the ideal value over the last step of the reference.
+    distance : ndarray, shape (M,)
+        Distance to what is seen [m].
+    depth : ndarray, shape (M,)
+        Cosine of the angle between it and the optical axis.
+    """
+
+    first: Int
+    channel: Int
+    kind: Int
+    reading: Float
+    value: Float
+    jacobian: Float
+    weight: Float
+    velocity: Float
+    distance: Float
+    depth: Float
 
 
 def pack_geometry(

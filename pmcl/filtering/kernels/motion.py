@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from pmcl.filtering.kernels.compile import kernel
 from pmcl.filtering.kernels.contract import (
     deviation_of_state,
     linearise_transition,
@@ -114,8 +115,9 @@ def _linearise_transition(motion, t, before, after, jacobian, offset, precision)
 # h. Without them a small sigma_left could not be told from the forward noise that a turned heading leaks into it.
 
 
-@state_of_deviation.register(IncrementMotion, allocates=False)
-def _state_of_deviation(motion, t, reference, after, deviation, out):
+@kernel
+def bend(reference, t, after, deviation, out):
+    """Write the pose that an unbent deviation at t stands for into ``out[:3]``; `after` is the next pose."""
     h = deviation[2]
     c, s = math.cos(h), math.sin(h)
     back_x, back_y = reference[t, 0] - reference[t + 1, 0], reference[t, 1] - reference[t + 1, 1]
@@ -126,8 +128,9 @@ def _state_of_deviation(motion, t, reference, after, deviation, out):
     out[2] = reference[t, 2] + h
 
 
-@deviation_of_state.register(IncrementMotion, allocates=False)
-def _deviation_of_state(motion, t, reference, after, state, deviation):
+@kernel
+def unbend(reference, t, after, state, deviation):
+    """Do the inverse of :func:`bend`."""
     h = state[2] - reference[t, 2]
     c, s = math.cos(h), math.sin(h)
     back_x, back_y = reference[t, 0] - reference[t + 1, 0], reference[t, 1] - reference[t + 1, 1]
@@ -136,3 +139,13 @@ def _deviation_of_state(motion, t, reference, after, state, deviation):
     deviation[0] = u - back_x - h * back_y + (after[0] - reference[t + 1, 0])
     deviation[1] = v - back_y + h * back_x + (after[1] - reference[t + 1, 1])
     deviation[2] = h
+
+
+@state_of_deviation.register(IncrementMotion, allocates=False)
+def _state_of_deviation(motion, t, reference, after, deviation, out):
+    bend(reference, t, after, deviation, out)
+
+
+@deviation_of_state.register(IncrementMotion, allocates=False)
+def _deviation_of_state(motion, t, reference, after, state, deviation):
+    unbend(reference, t, after, state, deviation)

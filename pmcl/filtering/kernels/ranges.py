@@ -24,7 +24,8 @@ from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
 from pmcl.models.tables import RangeBeams
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-_FIXED_ROWS = 17
+# Work rows before those for the walls.
+_FIXED_ROWS = CASTING_ROWS = 17
 # A ray that meets nothing has length inf; this many times the longest reading stands for it.
 _FAR = 2.0
 
@@ -95,7 +96,7 @@ def log_normal_tail(x):
 
 
 @kernel
-def _one_origin(beam_pose):
+def one_origin(beam_pose):
     """Return whether several beams leave the robot, all from one point."""
     for beam in range(1, beam_pose.shape[0]):
         if beam_pose[beam, 0] != beam_pose[0, 0] or beam_pose[beam, 1] != beam_pose[0, 1]:
@@ -115,9 +116,9 @@ def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
     Rows 9 to 16 of `scratch` hold, in their first element, what bounds all origins and headings.
     """
     n = current.shape[1]
-    dx, dy, best, x, y = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    moment, inverse = scratch[8], scratch[_FIXED_ROWS : _FIXED_ROWS + sensor.wall_start.size]
-    shared = _one_origin(sensor.beam_pose)
+    best, x, y = scratch[2], scratch[3], scratch[4]
+    inverse = scratch[_FIXED_ROWS : _FIXED_ROWS + sensor.wall_start.size]
+    shared = one_origin(sensor.beam_pose)
     if moved:
         mount_x, mount_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
         for i in range(n):
@@ -130,8 +131,16 @@ def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
         _remember(scratch, 15, middle_and_reach(sine))
         if shared:
             wall_numerators(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, inverse)
-    c, s = math.cos(sensor.beam_pose[beam, 2]), math.sin(sensor.beam_pose[beam, 2])
-    for i in range(n):
+    cast_along(sensor, sensor.beam_pose[beam, 2], shared, sine, cosine, scratch, best)
+
+
+@kernel
+def cast_along(sensor, yaw, shared, sine, cosine, scratch, best):
+    """Write 1 / length of rays at `yaw` to the robots' headings into `best`, from the origins of the last beam cast."""
+    dx, dy, x, y = scratch[0], scratch[1], scratch[3], scratch[4]
+    moment, inverse = scratch[8], scratch[_FIXED_ROWS : _FIXED_ROWS + sensor.wall_start.size]
+    c, s = math.cos(yaw), math.sin(yaw)
+    for i in range(x.size):
         dx[i] = cosine[i] * c - sine[i] * s
         dy[i] = sine[i] * c + cosine[i] * s
     middle_c, reach_c, middle_s, reach_s = scratch[13, 0], scratch[14, 0], scratch[15, 0], scratch[16, 0]

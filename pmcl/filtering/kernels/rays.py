@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.vector_math import extremes
 
-__all__ = ["cast_rays", "inverse_lengths", "middle_and_reach", "wall_numerators"]
+__all__ = ["cast_rays", "hit_cosines", "inverse_lengths", "middle_and_reach", "wall_numerators"]
 
 Float = NDArray[np.float64]
 
@@ -157,6 +157,28 @@ def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, bounds, inver
                 ready, best,
             )  # fmt: skip
         w += 1
+
+
+@kernel
+def hit_cosines(vertices, wall_start, wall_stop, x, y, dx, dy, moment, best, cosine):
+    """Write the cosine of the angle of incidence at the wall that each ray meets into `cosine` (n,).
+
+    `moment` and `best` are as :func:`inverse_lengths` left them. A ray that meets nothing counts as square (1).
+    """
+    for i in range(x.size):
+        cosine[i] = 1.0
+    for w in range(wall_start.size):
+        ax, ay = vertices[wall_start[w], 0], vertices[wall_start[w], 1]
+        bx, by = vertices[wall_stop[w], 0], vertices[wall_stop[w], 1]
+        ex, ey = bx - ax, by - ay
+        per_length, constant = 1.0 / np.sqrt(ex * ex + ey * ey), ax * ey - ay * ex
+        for i in range(x.size):
+            a = (ax * dy[i] - ay * dx[i]) - moment[i]
+            b = (bx * dy[i] - by * dx[i]) - moment[i]
+            trial = (a - b) / (constant - (x[i] * ey - y[i] * ex))
+            # The nearest wall gives the very value of `best`, up to rounding.
+            met = (a * b <= 0.0) & (trial >= best[i] * (1.0 - 1e-9)) & (best[i] > 0.0)
+            cosine[i] = abs(dx[i] * ey - dy[i] * ex) * per_length if met else cosine[i]
 
 
 @entry

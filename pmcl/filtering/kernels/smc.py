@@ -13,6 +13,9 @@ import numpy as np
 import pmcl.filtering.kernels.landmarks
 import pmcl.filtering.kernels.motion
 import pmcl.filtering.kernels.ranges
+import pmcl.filtering.kernels.rich_landmarks
+import pmcl.filtering.kernels.rich_motion
+import pmcl.filtering.kernels.rich_ranges
 import pmcl.filtering.kernels.start  # noqa: F401  (they register themselves)
 from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import (

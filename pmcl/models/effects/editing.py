@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pmcl.errors import ModelError
+from pmcl.models.rich_tables import (
+    RichLandmarks,
+    RichMotion,
+    RichRangeBeams,
+    WanderingMotion,
+    rich_beams,
+    rich_landmarks,
+    rich_motion,
+)
 from pmcl.models.tables import IncrementMotion, LandmarkSightings, RangeBeams, Tables
 
-__all__ = ["change_beams", "change_landmarks", "change_motion", "settled"]
+__all__ = [
+    "change_beams",
+    "change_landmarks",
+    "change_motion",
+    "enrich_beams",
+    "enrich_landmarks",
+    "enrich_motion",
+    "settled",
+]
 
-MOTIONS: tuple[type, ...] = (IncrementMotion,)
-BEAMS: tuple[type, ...] = (RangeBeams,)
-LANDMARKS: tuple[type, ...] = (LandmarkSightings,)
+MOTIONS = (IncrementMotion, RichMotion, WanderingMotion)
+BEAMS = (RangeBeams, RichRangeBeams)
+LANDMARKS = (LandmarkSightings, RichLandmarks)
 
 
 def change_motion(tables: Tables, change: Callable[[Any], Any], name: str) -> Tables:
@@ -41,6 +58,40 @@ def change_beams(tables: Tables, change: Callable[[Any], Any], name: str, *, req
 def change_landmarks(tables: Tables, change: Callable[[Any], Any], name: str, *, required: bool = True) -> Tables:
     """Return the tables with `change` applied to every table of landmark sightings; see :func:`change_motion`."""
     return _change_sensors(tables, LANDMARKS, change, name, "landmark sightings", required)
+
+
+def enrich_motion(tables: Tables, change: Callable[[Any], Mapping[str, Any]], name: str) -> Tables:
+    """Return the tables with fields of the richer motion table replaced by what `change` returns for it."""
+
+    def edit(motion: Any) -> Any:
+        rich = rich_motion(motion)
+        return rich._replace(**change(rich))
+
+    return change_motion(tables, edit, name)
+
+
+def enrich_beams(
+    tables: Tables, change: Callable[[Any], Mapping[str, Any]], name: str, *, required: bool = True
+) -> Tables:
+    """Return the tables with fields of every richer table of beams replaced by what `change` returns for it."""
+
+    def edit(beams: Any) -> Any:
+        rich = rich_beams(beams)
+        return rich._replace(**change(rich))
+
+    return change_beams(tables, edit, name, required=required)
+
+
+def enrich_landmarks(
+    tables: Tables, change: Callable[[Any], Mapping[str, Any]], name: str, *, required: bool = True
+) -> Tables:
+    """Return the tables with fields of every richer table of sightings replaced by what `change` returns for it."""
+
+    def edit(seen: Any) -> Any:
+        rich = rich_landmarks(seen)
+        return rich._replace(**change(rich))
+
+    return change_landmarks(tables, edit, name, required=required)
 
 
 def _change_sensors(

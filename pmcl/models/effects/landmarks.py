@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_landmarks
+from pmcl.models.effects.editing import change_landmarks, enrich_landmarks
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.parameters import Parameter
 from pmcl.models.parts import Float
@@ -52,6 +52,42 @@ def _range_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> 
     return change_landmarks(
         tables, lambda seen: seen._replace(range_scale=seen.range_scale * (1.0 + values[0])), "landmark-range-scale"
     )
+
+
+def _size_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    return change_landmarks(
+        tables, lambda seen: seen._replace(size_constant=seen.size_constant * (1.0 + values[0])), "landmark-size-scale"
+    )
+
+
+def _range_noise(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    return enrich_landmarks(
+        tables,
+        lambda seen: {"range_growth": seen.range_growth + values[0]},
+        "landmark-range-noise-grows-with-range",
+    )
+
+
+def _bearing_noise(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    return enrich_landmarks(
+        tables, lambda seen: {"bearing_falloff": seen.bearing_falloff + values[0]}, "bearing-noise-falls-with-range"
+    )
+
+
+def _misread(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    return enrich_landmarks(
+        tables,
+        lambda seen: {"misread_weight": 1.0 - (1.0 - seen.misread_weight) * (1.0 - values[0])},
+        "landmark-misread",
+    )
+
+
+def _reads_size(log: RobotLog) -> bool:
+    return _read(log.landmark_size)
+
+
+def _reads_several(log: RobotLog) -> bool:
+    return reads_landmarks(log) and log.landmarks is not None and len(log.landmarks.positions) > 1
 
 
 LANDMARK_EFFECTS = (
@@ -103,5 +139,64 @@ LANDMARK_EFFECTS = (
         },
         references=(_THRUN,),
         needs=reads_distance,
+    ),
+    Effect(
+        name="landmark-size-scale",
+        summary="All landmarks look larger (or smaller) than they should by the same share.",
+        parameters=(Parameter("landmark_size_scale", "1", stats.norm(scale=0.3), "share by which areas are too "
+                              "large"),),
+        null=(0.0,),
+        change=_size_scale,
+        carrier="landmark",
+        look="Landmarks seem nearer than they are, near and far alike.",
+        typical={"just visible": (0.05,), "clear": (0.15,), "large": (0.4,)},
+        means_only=True,
+        near_twins={"odometry-forward-scale": "see landmarks on all sides"},
+        references=("Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006",),
+        needs=_reads_size,
+    ),
+    Effect(
+        name="landmark-range-noise-grows-with-range",
+        summary="Distances to far landmarks are noisier than to near ones.",
+        parameters=(Parameter("landmark_range_noise_grows_with_range", "1/m", stats.halfnorm(scale=0.3), "growth of "
+                              "the noise per metre, as a share of it"),),
+        null=(0.0,),
+        change=_range_noise,
+        carrier="landmark",
+        look="Distance residuals scatter more the farther the landmark.",
+        typical={"just visible": (0.02,), "clear": (0.1,), "large": (0.4,)},
+        absorber=True,
+        near_twins={"landmark-range-scale": "record longer: a scale errs always the same way"},
+        references=(_THRUN,),
+        needs=reads_distance,
+    ),
+    Effect(
+        name="bearing-noise-falls-with-range",
+        summary="Bearings to near landmarks are noisier than to far ones: near ones are wide.",
+        parameters=(Parameter("bearing_noise_falls_with_range", "m", stats.halfnorm(scale=3.0), "distance at which the "
+                              "noise is twice that of a far landmark"),),
+        null=(0.0,),
+        change=_bearing_noise,
+        carrier="landmark",
+        look="Bearing residuals scatter more the nearer the landmark.",
+        typical={"just visible": (0.7,), "clear": (2.5,), "large": (7.0,)},
+        absorber=True,
+        near_twins={"sensor-offset": "turn on the spot: an offset errs always the same way"},
+        references=(_THRUN,),
+        needs=reads_bearing,
+    ),
+    Effect(
+        name="landmark-misread",
+        summary="Now and then a landmark is taken for another one.",
+        parameters=(Parameter("landmark_misread_weight", "1", stats.beta(1.0, 10.0), "share of sightings of another "
+                              "landmark than said"),),
+        null=(0.0,),
+        change=_misread,
+        carrier="landmark",
+        look="Single sightings are far off, and fit another landmark well.",
+        typical={"just visible": (0.01,), "clear": (0.06,), "large": (0.2,)},
+        near_twins={"landmark-moved": "look again later: a misread landmark is right the next time"},
+        references=(_THRUN,),
+        needs=_reads_several,
     ),
 )  # fmt: skip

@@ -8,11 +8,12 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_beams, change_landmarks
+from pmcl.models.effects.editing import change_beams, change_landmarks, enrich_beams
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.landmarks import reads_landmarks
+from pmcl.models.effects.places import at_place, floor_places
 from pmcl.models.effects.ranges import reads_ranges
-from pmcl.models.parameters import Parameter
+from pmcl.models.parameters import Parameter, gamma_prior
 from pmcl.models.parts import Float
 from pmcl.models.tables import Tables
 
@@ -59,6 +60,14 @@ def _landmark_moved(tables: Tables, values: Float, log: RobotLog, where: Where) 
     return change_landmarks(tables, edit, "landmark-moved")
 
 
+def _obstacle(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    weight, x, y, radius = values
+    row = np.array([[x, y, radius, weight]])
+    return enrich_beams(
+        tables, lambda beams: {"obstacles": np.concatenate([beams.obstacles, row])}, "unmapped-obstacle"
+    )
+
+
 MAP_EFFECTS = (
     Effect(
         name="landmark-moved",
@@ -93,5 +102,32 @@ MAP_EFFECTS = (
         references=(_THRUN,),
         needs=_sees_walls,
         places=_each_wall,
+    ),
+    Effect(
+        name="unmapped-obstacle",
+        summary="Something stands on the floor, always or at times, that the map does not know.",
+        parameters=(
+            Parameter("unmapped_obstacle_weight", "1", stats.beta(1.0, 1.0), "share of the readings towards it that it "
+                      "answers"),
+            Parameter("unmapped_obstacle_x", "m", stats.norm(scale=5.0), "where it stands"),
+            Parameter("unmapped_obstacle_y", "m", stats.norm(scale=5.0), "where it stands"),
+            Parameter("unmapped_obstacle_radius", "m", gamma_prior(0.3, 8.0), "its radius"),
+        ),
+        # The radius stands for a share of a cell of the grid until the effect has a place.
+        null=(0.0, 0.0, 0.0, 0.3),
+        change=_obstacle,
+        carrier="map",
+        look="Readings towards one place on the map are too short, from wherever they come.",
+        typical={
+            "just visible": (0.1, 0.0, 0.0, 0.3),
+            "clear": (0.5, 0.0, 0.0, 0.3),
+            "large": (0.95, 0.0, 0.0, 0.3),
+        },
+        shape=("unmapped_obstacle_x", "unmapped_obstacle_y", "unmapped_obstacle_radius"),
+        near_twins={"short-readings": "come back: an obstacle is still there"},
+        references=(_THRUN,),
+        needs=_sees_walls,
+        places=floor_places,
+        fitted=at_place,
     ),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The sensor is not where, or not looking where, the robot's description says."""
+"""The sensor is not where, not looking where, or not reading when or what the robot's description says."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_beams, change_landmarks
+from pmcl.models.effects.editing import change_beams, change_landmarks, enrich_beams, enrich_landmarks
 from pmcl.models.effects.effect import Effect, Where
+from pmcl.models.effects.landmarks import reads_bearing, reads_distance
+from pmcl.models.effects.odometry import moves
 from pmcl.models.effects.ranges import reads_ranges
 from pmcl.models.parameters import Parameter
 from pmcl.models.parts import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["MOUNT_EFFECTS"]
+
+# Farther off the optical axis than this, depth says next to nothing of the distance [rad].
+_WIDEST = 1.4
 
 
 def reads_anything(log: RobotLog) -> bool:
@@ -63,6 +69,42 @@ def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -
     )
 
 
+def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    pause = np.diff(log.times)
+    lag = np.concatenate([[0.0], values[0] / pause])
+
+    def edit(table: Any) -> dict[str, Any]:
+        return {"lag": table.lag + lag}
+
+    tables = enrich_beams(tables, edit, "sensor-latency", required=False)
+    return enrich_landmarks(tables, edit, "sensor-latency", required=False)
+
+
+def _moves_and_reads(log: RobotLog) -> bool:
+    return reads_anything(log) and moves(log)
+
+
+def _depth(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    (depth,) = values
+
+    def ring(beams: Any) -> Any:
+        return beams._replace(scale=beams.scale * (1.0 - depth + depth * np.cos(beams.beam_pose[:, 2])))
+
+    tables = change_beams(tables, ring, "range-is-depth", required=False)
+    return enrich_landmarks(tables, lambda seen: {"depth": float(depth)}, "range-is-depth", required=False)
+
+
+def _looks_ahead(log: RobotLog) -> bool:
+    """Return whether ranges come from a sensor with an optical axis: all of them from ahead, not all from one way."""
+    if reads_ranges(log) and log.beam_poses is not None:
+        aside = np.abs(wrap(log.beam_poses[:, 2]))
+    elif reads_distance(log) and reads_bearing(log) and log.landmark_bearing is not None:
+        aside = np.abs(wrap(log.landmark_bearing[~np.isnan(log.landmark_bearing)]))
+    else:
+        return False
+    return bool(0.05 < aside.max(initial=0.0) < _WIDEST)
+
+
 MOUNT_EFFECTS = (
     Effect(
         name="sensor-yaw",
@@ -98,5 +140,33 @@ MOUNT_EFFECTS = (
         references=("Censi, Franchi, Marchionni, Oriolo, Simultaneous Calibration of Odometry and Sensor Parameters "
                     "for Mobile Robots, 2013",),
         needs=reads_anything,
+    ),
+    Effect(
+        name="sensor-latency",
+        summary="Readings are older than their time stamps say (or newer, when negative).",
+        parameters=(Parameter("sensor_latency", "s", stats.norm(scale=0.3), "how old readings are"),),
+        null=(0.0,),
+        change=_latency,
+        look="Readings lag behind while the robot turns or speeds up, and are right while it stands.",
+        typical={"just visible": (0.05,), "clear": (0.2,), "large": (0.5,)},
+        near_twins={
+            "odometry-forward-scale": "start and stop often: when driving straight at one speed the two are the same",
+            "odometry-latency": "the same in relative terms: only an absolute pose, or odometry noise, tells which of "
+            "the two is late",
+        },
+        references=("Furgale, Rehder, Siegwart, Unified Temporal and Spatial Calibration, IROS 2013",),
+        needs=_moves_and_reads,
+    ),
+    Effect(
+        name="range-is-depth",
+        summary="What is logged as distance is the depth along the optical axis, shorter towards the edge of the view.",
+        parameters=(Parameter("range_is_depth", "1", stats.uniform(), "how much so: 0 distance, 1 depth"),),
+        null=(0.0,),
+        change=_depth,
+        look="Distances are right in the middle of the view and too short at its edges.",
+        typical={"just visible": (0.15,), "clear": (0.5,), "large": (0.9,)},
+        near_twins={"range-scale": "see things both in the middle and at the edge of the view"},
+        references=("Szeliski, Computer Vision: Algorithms and Applications, 2022, section 13.2",),
+        needs=_looks_ahead,
     ),
 )  # fmt: skip

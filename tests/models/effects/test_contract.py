@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from oracles.effect_logs import (
     BY_NAME,
+    LOGS,
     NAMES,
     base_tables,
     field_log,
@@ -109,8 +110,8 @@ def test_probes_lead_from_the_null_to_a_clear_effect(name):
 def test_scores_at_the_null_are_finite_and_not_all_zero(case):
     """The slope of the log density along the probe exists: two small steps give the same slope."""
     effect, log, tables, path = case
-    if effect.name in ("beam-width", "quantized-readings", "odometry-latency", "sensor-latency"):
-        pytest.skip("its slope at the null is found from steps as large as a clear effect: see its own tests")
+    if effect.name == "quantized-readings":
+        pytest.skip("rounding by less than the noise hardly changes a density: what shows it are the digits")
     null = row_densities(effect.edit(tables, effect.null, log), path)
     for k in effect.strengths:
         small, smaller = (
@@ -119,7 +120,8 @@ def test_scores_at_the_null_are_finite_and_not_all_zero(case):
         assert np.isfinite(small).all()
         # A beam may cross the edge of a wall between the two.
         near = np.isclose(small, smaller, rtol=0.05, atol=1e-2 * np.abs(small).max())
-        assert near.mean() > 0.95
+        assert near.mean() > 0.9
+        assert np.abs(small).max() > 0.0
 
 
 @EVERY
@@ -172,7 +174,12 @@ def test_instances_of_one_effect_are_told_apart_and_survive_the_file():
 
 
 def test_candidates_hold_every_effect_somewhere():
-    offered = {effect.name for log in (sonar_log(), field_log()) for effect in candidates(log)}
+    offered = {effect.name for make in LOGS for effect in candidates(make())}
     assert offered == set(NAMES)
     assert sum(effect.name == "beam-bias" for effect in candidates(sonar_log())) == 8
     assert not any(effect.carrier == "range" for effect in candidates(field_log()))
+
+
+@EVERY
+def test_twins_are_in_the_catalogue(name):
+    assert set(BY_NAME[name].near_twins) <= set(NAMES) - {name}

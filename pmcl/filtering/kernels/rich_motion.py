@@ -1,0 +1,285 @@
+"""Kernels of :class:`~pmcl.models.rich_tables.RichMotion` and :class:`~pmcl.models.rich_tables.WanderingMotion`."""
+
+from __future__ import annotations
+
+import math
+
+from pmcl.filtering.kernels.compile import kernel
+from pmcl.filtering.kernels.contract import (
+    deviation_of_state,
+    draw_start,
+    linearise_start,
+    linearise_transition,
+    path_transition_logpdf,
+    propagate,
+    scratch_rows,
+    start_logpdf,
+    state_of_deviation,
+    state_size,
+    transition_logpdf,
+)
+from pmcl.filtering.kernels.motion import bend, unbend
+from pmcl.filtering.kernels.student import student_constant, student_logpdf
+from pmcl.filtering.kernels.vector_math import sincos_into
+from pmcl.models.rich_tables import RichMotion, WanderingMotion, WiderStart
+
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+@state_size.register(RichMotion, allocates=False)
+def _three(motion):
+    return 3
+
+
+@state_size.register(WanderingMotion, allocates=False)
+def _four(motion):
+    return 4
+
+
+@kernel
+def _grip(patches, x, y):
+    """Return the share of its mean translation that a step from (x, y) makes."""
+    value = 1.0
+    for k in range(patches.shape[0]):
+        dx, dy, radius = x - patches[k, 0], y - patches[k, 1], patches[k, 2]
+        if dx * dx + dy * dy < radius * radius:
+            value *= 1.0 - patches[k, 3]
+    return value
+
+
+@kernel
+def _noise(rng, tail):
+    z = rng.standard_normal()
+    if tail > 0.0:
+        shape = 0.5 / tail
+        z *= math.sqrt(shape / rng.standard_gamma(shape))
+    return z
+
+
+@kernel
+def _move(motion, t, rng, previous, current):
+    """Draw the pose; the turn may follow the fourth component of the state before."""
+    mean, std, tail = motion.mean, motion.std, motion.tail
+    wanders = previous.shape[0] > 3
+    for i in range(current.shape[1]):
+        grip = _grip(motion.patches, previous[0, i], previous[1, i])
+        if motion.slip_weight > 0.0 and rng.random() < motion.slip_weight:
+            grip *= 1.0 - motion.slip_share
+        f = grip * mean[t, 0] + std[t, 0] * _noise(rng, tail)
+        g = grip * mean[t, 1] + std[t, 1] * _noise(rng, tail)
+        turn = mean[t, 2] + std[t, 2] * _noise(rng, tail)
+        if wanders:
+            turn += motion.wander[t] * previous[3, i]
+        c, s = math.cos(previous[2, i]), math.sin(previous[2, i])
+        x, y, heading = previous[0, i], previous[1, i], previous[2, i]
+        current[0, i] = x + f * c - g * s
+        current[1, i] = y + f * s + g * c
+        current[2, i] = heading + turn
+
+
+@propagate.register(RichMotion, allocates=False)
+def _propagate(motion, t, rng, previous, current, scratch):
+    _move(motion, t, rng, previous, current)
+
+
+@propagate.register(WanderingMotion, allocates=False)
+def _propagate_wandering(motion, t, rng, previous, current, scratch):
+    _move(motion, t, rng, previous, current)
+    keep = motion.keep[t]
+    spread = math.sqrt(1.0 - keep * keep)
+    for i in range(current.shape[1]):
+        current[3, i] = keep * previous[3, i] + spread * rng.standard_normal()
+
+
+@kernel
+def _translation_logpdf(motion, t, ahead, aside, grip, constant):
+    """Return the log density of a displacement in the robot frame, slips included."""
+    mean, std, tail, slip = motion.mean, motion.std, motion.tail, motion.slip_weight
+    f, g = (ahead - grip * mean[t, 0]) / std[t, 0], (aside - grip * mean[t, 1]) / std[t, 1]
+    value = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant)
+    if slip > 0.0:
+        grip *= 1.0 - motion.slip_share
+        f, g = (ahead - grip * mean[t, 0]) / std[t, 0], (aside - grip * mean[t, 1]) / std[t, 1]
+        slipped = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant) + math.log(slip)
+        if slip < 1.0:
+            value += math.log1p(-slip)
+            high, low = max(value, slipped), min(value, slipped)
+            value = high + math.log1p(math.exp(low - high))
+        else:
+            value = slipped
+    return value - math.log(std[t, 0] * std[t, 1])
+
+
+@kernel
+def _pose_logpdf(motion, t, previous, current, logp, scratch):
+    sine, cosine = scratch[0], scratch[1]
+    sincos_into(previous[2], sine, cosine)
+    std, constant = motion.std[t, 2], student_constant(motion.tail)
+    wanders = previous.shape[0] > 3
+    plain = motion.tail == 0.0 and motion.slip_weight == 0.0
+    w_forward, w_left, w_turn = 1.0 / motion.std[t, 0], 1.0 / motion.std[t, 1], 1.0 / std
+    gaussian = math.log(w_forward * w_left * w_turn) - 3.0 * _HALF_LOG_2PI
+    mean_forward, mean_left = motion.mean[t, 0], motion.mean[t, 1]
+    for i in range(logp.size):
+        dx, dy = current[0] - previous[0, i], current[1] - previous[1, i]
+        ahead, aside = dx * cosine[i] + dy * sine[i], dy * cosine[i] - dx * sine[i]
+        turn = current[2] - previous[2, i] - motion.mean[t, 2]
+        if wanders:
+            turn -= motion.wander[t] * previous[3, i]
+        grip = _grip(motion.patches, previous[0, i], previous[1, i])
+        if plain:
+            f, g, h = (ahead - grip * mean_forward) * w_forward, (aside - grip * mean_left) * w_left, turn * w_turn
+            logp[i] += gaussian - 0.5 * (f * f + g * g + h * h)
+        else:
+            logp[i] += _translation_logpdf(motion, t, ahead, aside, grip, constant)
+            logp[i] += student_logpdf(turn * w_turn, motion.tail, constant) - math.log(std)
+
+
+@transition_logpdf.register(RichMotion, allocates=False)
+def _transition_logpdf(motion, t, previous, current, logp, scratch):
+    _pose_logpdf(motion, t, previous, current, logp, scratch)
+
+
+@transition_logpdf.register(WanderingMotion, allocates=False)
+def _wandering_logpdf(motion, t, previous, current, logp, scratch):
+    _pose_logpdf(motion, t, previous, current, logp, scratch)
+    keep = motion.keep[t]
+    spread = math.sqrt(1.0 - keep * keep)
+    constant = -math.log(spread) - _HALF_LOG_2PI
+    for i in range(logp.size):
+        r = (current[3] - keep * previous[3, i]) / spread
+        logp[i] += constant - 0.5 * r * r
+
+
+@kernel
+def _along_path(motion, n_steps, path, logp, scratch):
+    """Add the density of each step; without a fourth component u is integrated out by a scalar Kalman filter."""
+    sine, cosine = scratch[0], scratch[1]
+    sincos_into(path[2], sine, cosine)
+    constant = student_constant(motion.tail)
+    wanders = path.shape[0] > 3
+    guess, variance = 0.0, 1.0  # belief about u[t-1]
+    for t in range(1, n_steps):
+        dx, dy = path[0, t] - path[0, t - 1], path[1, t] - path[1, t - 1]
+        c, s = cosine[t - 1], sine[t - 1]
+        grip = _grip(motion.patches, path[0, t - 1], path[1, t - 1])
+        value = _translation_logpdf(motion, t, dx * c + dy * s, dy * c - dx * s, grip, constant)
+        turn, std = path[2, t] - path[2, t - 1] - motion.mean[t, 2], motion.std[t, 2]
+        wander, keep = motion.wander[t], motion.keep[t]
+        if wanders:
+            spread = math.sqrt(1.0 - keep * keep)
+            r = (path[3, t] - keep * path[3, t - 1]) / spread
+            value -= math.log(spread) + _HALF_LOG_2PI + 0.5 * r * r
+            turn -= wander * path[3, t - 1]
+        elif wander != 0.0 or keep != 0.0:
+            turn -= wander * guess
+            total = wander * wander * variance + std * std
+            gain = wander * variance / total
+            guess = keep * (guess + gain * turn)
+            variance = keep * keep * variance * (1.0 - gain * wander) + 1.0 - keep * keep
+            std = math.sqrt(total)
+        logp[t] += value + student_logpdf(turn / std, motion.tail, constant) - math.log(std)
+
+
+@kernel
+def _linearise_pose(motion, t, before, after, jacobian, offset, precision):
+    size = offset.size
+    for i in range(size):
+        offset[i] = 0.0
+        for j in range(size):
+            jacobian[i, j] = 1.0 if i == j else 0.0
+            precision[i, j] = 0.0
+    c, s = math.cos(before[2]), math.sin(before[2])
+    grip = _grip(motion.patches, before[0], before[1]) * (1.0 - motion.slip_weight * motion.slip_share)
+    f, g = grip * motion.mean[t, 0], grip * motion.mean[t, 1]
+    jacobian[0, 2], jacobian[1, 2] = before[1] - after[1], after[0] - before[0]
+    offset[0] = before[0] + c * f - s * g - after[0]
+    offset[1] = before[1] + s * f + c * g - after[1]
+    offset[2] = before[2] + motion.mean[t, 2] - after[2]
+    # Rare slips widen the scatter; a Student t is as wide as a Gaussian of half as much again variance.
+    lost = motion.slip_share * grip
+    spread = motion.slip_weight * (1.0 - motion.slip_weight) * lost * lost
+    wide = 1.0 + min(2.0 * motion.tail, 1.0)
+    a = 1.0 / (wide * motion.std[t, 0] ** 2 + spread * motion.mean[t, 0] ** 2)
+    b = 1.0 / (wide * motion.std[t, 1] ** 2 + spread * motion.mean[t, 1] ** 2)
+    precision[0, 0] = c * c * a + s * s * b
+    precision[1, 1] = s * s * a + c * c * b
+    precision[0, 1] = precision[1, 0] = c * s * (a - b)
+    precision[2, 2] = 1.0 / (wide * motion.std[t, 2] ** 2)
+
+
+@linearise_transition.register(RichMotion, allocates=False)
+def _linearise(motion, t, before, after, jacobian, offset, precision):
+    _linearise_pose(motion, t, before, after, jacobian, offset, precision)
+
+
+@linearise_transition.register(WanderingMotion, allocates=False)
+def _linearise_wandering(motion, t, before, after, jacobian, offset, precision):
+    _linearise_pose(motion, t, before, after, jacobian, offset, precision)
+    wander, keep = motion.wander[t], motion.keep[t]
+    jacobian[2, 3], jacobian[3, 3] = wander, keep
+    offset[2] += wander * before[3]
+    offset[3] = keep * before[3] - after[3]
+    precision[3, 3] = 1.0 / (1.0 - keep * keep)
+
+
+# The rest is the same for both, or is that of the plain motion for the first three components.
+
+
+def _rows(table):
+    return 4
+
+
+def _bent_state(motion, t, reference, after, deviation, out):
+    bend(reference, t, after, deviation, out)
+    for d in range(3, out.size):
+        out[d] = reference[t, d] + deviation[d]
+
+
+def _bent_deviation(motion, t, reference, after, state, deviation):
+    unbend(reference, t, after, state, deviation)
+    for d in range(3, deviation.size):
+        deviation[d] = state[d] - reference[t, d]
+
+
+def _path_logpdf(motion, n_steps, path, logp, scratch):
+    _along_path(motion, n_steps, path, logp, scratch)
+
+
+for _kind in (RichMotion, WanderingMotion):
+    scratch_rows.register(_kind, allocates=False)(_rows)
+    state_of_deviation.register(_kind, allocates=False)(_bent_state)
+    deviation_of_state.register(_kind, allocates=False)(_bent_deviation)
+    path_transition_logpdf.register(_kind, allocates=False)(_path_logpdf)
+
+
+@scratch_rows.register(WiderStart, allocates=False)
+def _start_rows(table):
+    return scratch_rows(table.pose)
+
+
+@draw_start.register(WiderStart, allocates=False)
+def _draw_start(start, rng, current):
+    draw_start(start.pose, rng, current[:3])
+    for d in range(start.mean.size):
+        for i in range(current.shape[1]):
+            current[3 + d, i] = start.mean[d] + start.std[d] * rng.standard_normal()
+
+
+@start_logpdf.register(WiderStart, allocates=False)
+def _start_logpdf(start, current, logp):
+    start_logpdf(start.pose, current[:3], logp)
+    for d in range(min(start.mean.size, current.shape[0] - 3)):
+        constant = -math.log(start.std[d]) - _HALF_LOG_2PI
+        for i in range(logp.size):
+            z = (current[3 + d, i] - start.mean[d]) / start.std[d]
+            logp[i] += constant - 0.5 * z * z
+
+
+@linearise_start.register(WiderStart, allocates=False)
+def _linearise_start(start, reference, precision, shift):
+    linearise_start(start.pose, reference[:3], precision[:3, :3], shift[:3])
+    for d in range(start.mean.size):
+        weight = start.std[d] ** -2
+        precision[3 + d, 3 + d] += weight
+        shift[3 + d] += weight * (start.mean[d] - reference[3 + d])

@@ -1,0 +1,450 @@
+"""Kernels of :class:`~pmcl.models.rich_tables.RichRangeBeams`: range readings with everything that may befall them.
+
+A filter evaluates one reading at many states, a path many readings at one state each. Both are columns here: column i
+belongs to row ``first + stride * i`` of the readings, with stride 0 in a filter and 1 along a path, so that one
+implementation serves both.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pmcl.filtering.kernels.compile import kernel
+from pmcl.filtering.kernels.contract import (
+    has_reading,
+    linear_information,
+    looks_back,
+    one_reading,
+    path_reading_logpdf,
+    reading_count,
+    reading_logpdf,
+    reading_slots,
+    scratch_rows,
+)
+from pmcl.filtering.kernels.geometry import add_information
+from pmcl.filtering.kernels.ranges import CASTING_ROWS, cast_along, cast_one_beam, one_origin
+from pmcl.filtering.kernels.rays import hit_cosines
+from pmcl.filtering.kernels.student import (
+    interval_probability,
+    log_upper_tail,
+    student_constant,
+    student_logpdf,
+    upper_tail,
+)
+from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
+from pmcl.models.rich_tables import RichRangeBeams
+
+# A ray that meets nothing has length inf; this many times the longest reading stands for it.
+_FAR = 2.0
+# Work rows of this module after those of casting and those for the walls.
+_CASTING = CASTING_ROWS
+_POSE, _OTHER_RAY, _Z, _EXPECTED, _STD, _CENTRE, _WIDTH, _ECHO, _KEEP, _REST, _DRAFT, _SUM, _BEFORE, _OWN = (
+    0, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 17,
+)  # fmt: skip
+# How far off, in standard deviations, an echo may have been and still say something about the next one.
+_RELATED = 4.0
+# Width of the step from no reflection to full specular reflection [rad].
+_EDGE = 0.1
+# Shortest room in which something may stand before the wall [m]; share of the range that a detour needs.
+_LEAST_ROOM, _LEAST_DETOUR = 0.01, 0.1
+_TINY = 1e-290
+
+
+@scratch_rows.register(RichRangeBeams, allocates=False)
+def _scratch_rows(table):
+    return _CASTING + table.wall_start.size + _OWN + 3 * table.reading.shape[1]
+
+
+@kernel
+def _any(values):
+    found = False
+    for i in range(values.size):
+        found |= values[i] != 0.0
+    return found
+
+
+@looks_back.register(RichRangeBeams, allocates=False)
+def _looks_back(sensor):
+    return _any(sensor.lag) or _any(sensor.correlation)
+
+
+@has_reading.register(RichRangeBeams, allocates=False)
+def _has_reading(sensor, t):
+    return sensor.measured[t] > 0
+
+
+@kernel
+def _cast_beam(sensor, beam, pose, moved, scratch, own, inverse, cosine):
+    """Write 1 / length into `inverse` (n,), nearest ray of the cone, and the cosine of incidence of its middle one."""
+    dx, dy, best, x, y, sine, cosine_heading, moment = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5], scratch[6], scratch[8],
+    )  # fmt: skip
+    cast_one_beam(sensor, beam, pose, sine, cosine_heading, moved, scratch)
+    for i in range(inverse.size):
+        inverse[i] = best[i]
+    if sensor.specular_weight[beam] != 0.0:
+        hit_cosines(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, dx, dy, moment, best, cosine)
+    if sensor.width[beam] == 0.0:
+        return
+    other, shared = own[_OTHER_RAY], one_origin(sensor.beam_pose)
+    for ray in range(5):
+        if ray == 2:
+            continue
+        angle = sensor.beam_pose[beam, 2] + 0.25 * (ray - 2) * sensor.width[beam]
+        cast_along(sensor, angle, shared, sine, cosine_heading, scratch, other)
+        for i in range(inverse.size):
+            inverse[i] = max(inverse[i], other[i])
+
+
+@kernel
+def _cast_beams(sensor, pose, only, correlated, scratch, own, inverses, cosines):
+    """Cast all beams, or those read at row `only` when it is not negative, or those that are correlated in time."""
+    sincos_into(pose[2], scratch[5], scratch[6])
+    origin_x, origin_y = np.nan, np.nan
+    for beam in range(sensor.reading.shape[1]):
+        if only >= 0 and math.isnan(sensor.reading[only, beam]):
+            continue
+        if correlated and sensor.correlation[beam] == 0.0:
+            continue
+        moved = sensor.beam_pose[beam, 0] != origin_x or sensor.beam_pose[beam, 1] != origin_y
+        origin_x, origin_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
+        _cast_beam(sensor, beam, pose, moved, scratch, own, inverses[beam], cosines[beam])
+
+
+@kernel
+def _cell(sensor, z):
+    """Return the cell of a rounded reading, cut to where readings may lie."""
+    centre = math.floor(z / sensor.step + 0.5) * sensor.step
+    return max(centre - 0.5 * sensor.step, 0.0), min(centre + 0.5 * sensor.step, sensor.max_range)
+
+
+@kernel
+def _awkward_echo(sensor, z, centre, std):
+    """Return the log density of an echo that is clipped or rounded."""
+    tail = sensor.tail
+    if z <= 0.0:
+        return log_upper_tail(centre / std, tail)
+    if z >= sensor.max_range:
+        return log_upper_tail((sensor.max_range - centre) / std, tail)
+    low, high = _cell(sensor, z)
+    return interval_probability((low - centre) / std, (high - centre) / std, tail) - math.log(high - low)
+
+
+@kernel
+def _echo_into(sensor, n, z, centre, std, out):
+    """Write the log density of echoes around `centre` with scale `std` into ``out[:n]``; NaN where `z` is NaN."""
+    tail, constant = sensor.tail, student_constant(sensor.tail)
+    log_into(std, out)
+    if tail > 0.0:
+        for i in range(n):
+            out[i] = student_logpdf((z[i] - centre[i]) / std[i], tail, constant) - out[i]
+    else:
+        for i in range(n):
+            r = (z[i] - centre[i]) / std[i]
+            out[i] = constant - out[i] - 0.5 * r * r
+    for i in range(n):
+        if z[i] <= 0.0 or z[i] >= sensor.max_range or (sensor.step > 0.0 and z[i] > 0.0):
+            out[i] = _awkward_echo(sensor, z[i], centre[i], std[i])
+
+
+@kernel
+def _expect(sensor, beam, first, stride, n, previous_inverse, own, inverse):
+    """Fill the rows of what one beam should read, and of what its echo should read given the echo before."""
+    z, expected, std, centre, width = own[_Z], own[_EXPECTED], own[_STD], own[_CENTRE], own[_WIDTH]
+    far, longest = _FAR * sensor.max_range, sensor.max_range
+    scale, bias, base, growth = sensor.scale[beam], sensor.bias[beam], sensor.std[beam], sensor.growth[beam]
+    for i in range(n):
+        row = first + stride * i
+        length = 1.0 / inverse[i]
+        z[i] = sensor.reading[row, beam]
+        expected[i] = min(scale * length + bias + sensor.bias_at[row], far)
+        std[i] = base * sensor.std_factor[row] * (1.0 + growth * min(length, longest))
+        centre[i], width[i] = expected[i], std[i]
+    correlation = sensor.correlation[beam]
+    if correlation == 0.0:
+        return
+    narrower = math.sqrt(1.0 - correlation * correlation)
+    for i in range(n):
+        row = first + stride * i - 1
+        if row < 0:
+            continue
+        before, length = sensor.reading[row, beam], 1.0 / previous_inverse[i]
+        residual = before - min(scale * length + bias + sensor.bias_at[row], far)
+        spread = base * sensor.std_factor[row] * (1.0 + growth * min(length, longest))
+        if 0.0 < before < longest and abs(residual) < _RELATED * spread:
+            centre[i] += correlation * residual
+            width[i] *= narrower
+
+
+@kernel
+def _obstacle_length(sensor, k, beam, x, y, sine, cosine):
+    """Return how far a beam runs from a pose to obstacle `k`; inf where it passes by or the robot stands in it."""
+    mount_x, mount_y, yaw = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1], sensor.beam_pose[beam, 2]
+    c, s = math.cos(yaw), math.sin(yaw)
+    dx, dy = cosine * c - sine * s, sine * c + cosine * s
+    away_x = sensor.obstacles[k, 0] - (x + mount_x * cosine - mount_y * sine)
+    away_y = sensor.obstacles[k, 1] - (y + mount_x * sine + mount_y * cosine)
+    along = away_x * dx + away_y * dy
+    aside = away_x * dy - away_y * dx
+    radius = sensor.obstacles[k, 2]
+    inner = radius * radius - aside * aside
+    length = along - math.sqrt(max(inner, 0.0))
+    return length if inner > 0.0 and length > 0.0 else np.inf
+
+
+@kernel
+def _reflected(sensor, beam, cosine):
+    """Return the probability of a detour at this cosine of incidence."""
+    incidence = math.acos(min(cosine, 1.0))
+    return sensor.specular_weight[beam] / (1.0 + math.exp((sensor.specular_angle - incidence) / _EDGE))
+
+
+@kernel
+def _detour_density(sensor, z, expected):
+    low, longest = max(expected, 0.0), sensor.max_range
+    if longest - low > _LEAST_DETOUR * longest:
+        return 1.0 / (longest - low) if low < z < longest else 0.0
+    return 1.0 if z >= longest else 0.0
+
+
+@kernel
+def _short_density(sensor, z, expected):
+    room = max(min(expected, sensor.max_range), _LEAST_ROOM)
+    if not 0.0 < z < room:
+        return 0.0
+    return math.exp(-z / sensor.short_length) / (-sensor.short_length * math.expm1(-room / sensor.short_length))
+
+
+@kernel
+def _is_mixture(sensor, beam):
+    weight = abs(sensor.outlier_weight[beam]) + sensor.no_echo_weight[beam] + sensor.short_weight[beam]
+    return weight + sensor.specular_weight[beam] + sensor.talk_weight[beam] != 0.0 or _any(sensor.obstacles[:, 3])
+
+
+@kernel
+def _other_echo(sensor, beam, first, stride, n, lengths_inverse, own, weight):
+    """Mix in an echo from another distance with probability `weight`, everywhere."""
+    z, std, keep, rest, centre, out = own[_Z], own[_STD], own[_KEEP], own[_REST], own[_SUM], own[_OTHER_RAY]
+    far = _FAR * sensor.max_range
+    for i in range(n):
+        shift = sensor.bias[beam] + sensor.bias_at[first + stride * i]
+        centre[i] = min(sensor.scale[beam] / lengths_inverse[i] + shift, far)
+    _echo_into(sensor, n, z, centre, std, out)
+    exp_into(out, 0.0, centre)
+    for i in range(n):
+        keep[i] *= 1.0 - weight
+        rest[i] = (1.0 - weight) * rest[i] + weight * centre[i]
+
+
+@kernel
+def _mix(sensor, beam, first, stride, n, pose, sine, cosine_heading, own, inverses, cosine):
+    """Fill `keep` and `rest`: the density of a reading is keep * exp(echo) + rest."""
+    z, expected, std, keep, rest = own[_Z], own[_EXPECTED], own[_STD], own[_KEEP], own[_REST]
+    longest = sensor.max_range
+    for i in range(n):
+        keep[i], rest[i] = 1.0, 0.0
+    talk = sensor.talk_weight[beam]
+    if talk > 0.0:
+        # Either neighbour alike: first one with talk / 2, then the other with what remains of it.
+        half = 0.5 * talk
+        _other_echo(sensor, beam, first, stride, n, inverses[sensor.neighbours[beam, 0]], own, half / (1.0 - half))
+        _other_echo(sensor, beam, first, stride, n, inverses[sensor.neighbours[beam, 1]], own, half)
+    far = _FAR * longest
+    for k in range(sensor.obstacles.shape[0]):
+        weight = sensor.obstacles[k, 3]
+        if weight == 0.0:
+            continue
+        for i in range(n):
+            length = _obstacle_length(sensor, k, beam, pose[0, i], pose[1, i], sine[i], cosine_heading[i])
+            if length * inverses[beam, i] < 1.0:
+                shift = sensor.bias[beam] + sensor.bias_at[first + stride * i]
+                centre = min(sensor.scale[beam] * length + shift, far)
+                density = math.exp(_one_echo(sensor, z[i], centre, std[i]))
+                keep[i] *= 1.0 - weight
+                rest[i] = (1.0 - weight) * rest[i] + weight * density
+    if sensor.specular_weight[beam] != 0.0:
+        for i in range(n):
+            weight = _reflected(sensor, beam, cosine[i])
+            keep[i] *= 1.0 - weight
+            rest[i] = (1.0 - weight) * rest[i] + weight * _detour_density(sensor, z[i], expected[i])
+    short, nothing, wild = sensor.short_weight[beam], sensor.no_echo_weight[beam], sensor.outlier_weight[beam]
+    if short != 0.0:
+        for i in range(n):
+            keep[i] *= 1.0 - short
+            rest[i] = (1.0 - short) * rest[i] + short * _short_density(sensor, z[i], expected[i])
+    for i in range(n):
+        rest[i] = (1.0 - nothing) * rest[i] + (nothing if z[i] >= longest else 0.0)
+        rest[i] = (1.0 - wild) * rest[i] + (wild / longest if 0.0 < z[i] < longest else 0.0)
+        keep[i] *= (1.0 - nothing) * (1.0 - wild)
+
+
+@kernel
+def _one_echo(sensor, z, centre, std):
+    if z <= 0.0 or z >= sensor.max_range or sensor.step > 0.0:
+        return _awkward_echo(sensor, z, centre, std)
+    return student_logpdf((z - centre) / std, sensor.tail, student_constant(sensor.tail)) - math.log(std)
+
+
+@kernel
+def _add_beam(sensor, beam, first, stride, pose, logp, scratch, own, inverses, cosines, previous_inverses):
+    """Add the log density of one beam's readings; columns without a reading are left alone."""
+    n = logp.size
+    _expect(sensor, beam, first, stride, n, previous_inverses[beam], own, inverses[beam])
+    z, echo, keep, rest, mixed, draft = own[_Z], own[_ECHO], own[_KEEP], own[_REST], own[_SUM], own[_DRAFT]
+    _echo_into(sensor, n, z, own[_CENTRE], own[_WIDTH], echo)
+    if not _is_mixture(sensor, beam):
+        for i in range(n):
+            logp[i] += 0.0 if math.isnan(z[i]) else echo[i]
+        return
+    _mix(sensor, beam, first, stride, n, pose, scratch[5], scratch[6], own, inverses, cosines[beam])
+    exp_into(echo, 0.0, mixed)
+    for i in range(n):
+        mixed[i] = keep[i] * mixed[i] + rest[i]
+    log_into(mixed, draft)
+    for i in range(n):
+        if math.isnan(z[i]):
+            continue
+        if mixed[i] > _TINY or math.isnan(mixed[i]):
+            logp[i] += draft[i]
+        elif keep[i] > 0.0:
+            # So unlikely that the exponential vanished: on the scale of logarithms it did not.
+            logp[i] += echo[i] + math.log(keep[i])
+        else:
+            logp[i] = -np.inf
+
+
+@kernel
+def _delayed(sensor, first, stride, n, previous, current, pose):
+    """Write the pose at which each column was read."""
+    for d in range(3):
+        for i in range(n):
+            pose[d, i] = current[d, i] - sensor.lag[first + stride * i] * (current[d, i] - previous[d, i])
+
+
+@kernel
+def _add_readings(sensor, first, stride, only, previous, current, logp, scratch):
+    """Add the log densities of all beams; `only` >= 0 limits them to one."""
+    n_beams, begin = sensor.reading.shape[1], _CASTING + sensor.wall_start.size
+    own = scratch[begin : begin + _OWN]
+    inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
+    cosines = scratch[begin + _OWN + n_beams : begin + _OWN + 2 * n_beams]
+    previous_inverses = scratch[begin + _OWN + 2 * n_beams : begin + _OWN + 3 * n_beams]
+    pose = own[_POSE : _POSE + 3]
+    row = first if stride == 0 else -1
+    if _any(sensor.correlation):
+        _cast_beams(sensor, previous, row, True, scratch, own, previous_inverses, cosines)
+    _delayed(sensor, first, stride, logp.size, previous, current, pose)
+    _cast_beams(sensor, pose, -1 if _any(sensor.talk_weight) else row, False, scratch, own, inverses, cosines)
+    for beam in range(n_beams):
+        if (row < 0 or not math.isnan(sensor.reading[row, beam])) and (only < 0 or beam == only):
+            _add_beam(sensor, beam, first, stride, pose, logp, scratch, own, inverses, cosines, previous_inverses)
+
+
+@reading_logpdf.register(RichRangeBeams, allocates=False)
+def _reading_logpdf(sensor, t, previous, current, logp, scratch):
+    _add_readings(sensor, t, 0, -1, previous, current, logp, scratch)
+
+
+@path_reading_logpdf.register(RichRangeBeams, allocates=False)
+def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
+    begin = _CASTING + sensor.wall_start.size
+    previous = scratch[begin + _BEFORE : begin + _BEFORE + 3]
+    for d in range(3):
+        previous[d, 0] = path[d, 0]
+        for t in range(1, n_steps):
+            previous[d, t] = path[d, t - 1]
+    _add_readings(sensor, 0, 1, -1, previous, path, logp, scratch)
+
+
+@reading_count.register(RichRangeBeams, allocates=False)
+def _reading_count(sensor, n_steps):
+    return n_steps * sensor.reading.shape[1]
+
+
+@reading_slots.register(RichRangeBeams, allocates=False)
+def _reading_slots(sensor, t):
+    return t * sensor.reading.shape[1], (t + 1) * sensor.reading.shape[1]
+
+
+@kernel
+def _echo_below(sensor, z, centre, std):
+    """Return the probabilities of an echo that reads less, and less or the same."""
+    tail, longest = sensor.tail, sensor.max_range
+    if z <= 0.0:
+        return 0.0, upper_tail(centre / std, tail)
+    if z >= longest:
+        return upper_tail((centre - longest) / std, tail), 1.0
+    if sensor.step > 0.0:
+        low, high = _cell(sensor, z)
+        return upper_tail((centre - low) / std, tail), upper_tail((centre - high) / std, tail)
+    value = upper_tail((centre - z) / std, tail)
+    return value, value
+
+
+@one_reading.register(RichRangeBeams, allocates=False)
+def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    beam = slot - t * sensor.reading.shape[1]
+    z = sensor.reading[t, beam]
+    if math.isnan(z):
+        return False
+    for i in range(logp.size):
+        logp[i] = 0.0
+    _add_readings(sensor, t, 0, beam, previous, current, logp, scratch)
+    n_beams, begin = sensor.reading.shape[1], _CASTING + sensor.wall_start.size
+    own = scratch[begin : begin + _OWN]
+    inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
+    cosine = scratch[begin + _OWN + n_beams + beam]
+    longest, far = sensor.max_range, _FAR * sensor.max_range
+    beyond = z >= longest
+    share = min(max(z / longest, 0.0), 1.0)
+    shift = sensor.bias[beam] + sensor.bias_at[t]
+    for i in range(logp.size):
+        std, expected = own[_STD, i], own[_EXPECTED, i]
+        below, upto = _echo_below(sensor, z, own[_CENTRE, i], own[_WIDTH, i])
+        if sensor.talk_weight[beam] > 0.0:
+            half = 0.5 * sensor.talk_weight[beam]
+            below, upto = (1.0 - 2.0 * half) * below, (1.0 - 2.0 * half) * upto
+            for side in range(2):
+                centre = min(sensor.scale[beam] / inverses[sensor.neighbours[beam, side], i] + shift, far)
+                less, as_much = _echo_below(sensor, z, centre, std)
+                below, upto = below + half * less, upto + half * as_much
+        for k in range(sensor.obstacles.shape[0]):
+            length = _obstacle_length(
+                sensor, k, beam, own[_POSE, i], own[_POSE + 1, i], scratch[5, i], scratch[6, i]
+            )  # fmt: skip
+            if length * inverses[beam, i] < 1.0:
+                weight = sensor.obstacles[k, 3]
+                less, as_much = _echo_below(sensor, z, min(sensor.scale[beam] * length + shift, far), std)
+                below, upto = below + weight * (less - below), upto + weight * (as_much - upto)
+        if sensor.specular_weight[beam] != 0.0:
+            weight, begins = _reflected(sensor, beam, cosine[i]), max(expected, 0.0)
+            less = min(max((z - begins) / (longest - begins), 0.0), 1.0) if begins < longest else 0.0
+            less = 0.0 if longest - begins <= _LEAST_DETOUR * longest else less
+            below, upto = below + weight * (less - below), upto + weight * ((1.0 if beyond else less) - upto)
+        room = max(min(expected, longest), _LEAST_ROOM)
+        less = math.expm1(-min(max(z, 0.0), room) / sensor.short_length) / math.expm1(-room / sensor.short_length)
+        weight = sensor.short_weight[beam]
+        below, upto = below + weight * (less - below), upto + weight * (less - upto)
+        weight = sensor.no_echo_weight[beam]
+        below, upto = (1.0 - weight) * below, (1.0 - weight) * upto + (weight if beyond else 0.0)
+        weight = sensor.outlier_weight[beam]
+        low[i], high[i] = below + weight * (share - below), upto + weight * (share - upto)
+    return True
+
+
+@linear_information.register(RichRangeBeams, allocates=False)
+def _linear_information(sensor, geometry, t, precision, shift):
+    jacobian = geometry.jacobian
+    for k in range(geometry.first[t], geometry.first[t + 1]):
+        beam = geometry.channel[k]
+        scale, correlation, length = sensor.scale[beam], sensor.correlation[beam], geometry.value[k]
+        std = sensor.std[beam] * sensor.std_factor[t] * (1.0 + sensor.growth[beam] * min(length, sensor.max_range))
+        # What rounding, heavy tails and a memory add to the scatter.
+        variance = std * std * (1.0 + min(2.0 * sensor.tail, 1.0)) + sensor.step * sensor.step / 12.0
+        variance *= (1.0 + correlation) / (1.0 - correlation)
+        expected = scale * (length - sensor.lag[t] * geometry.velocity[k]) + sensor.bias[beam] + sensor.bias_at[t]
+        add_information(
+            jacobian, k, scale, geometry.weight[k] / variance, geometry.reading[k] - expected, precision, shift
+        )  # fmt: skip
