@@ -10,6 +10,7 @@ from pmcl.cli.compare import compare
 from pmcl.cli.convert import convert
 from pmcl.cli.criticize import criticize
 from pmcl.cli.demo import demo
+from pmcl.cli.effects import effects
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
 from pmcl.cli.simulate import simulate
@@ -27,5 +28,5 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, criticize, compare, localize, report):
+for command in (demo, simulate, convert, calibrate, criticize, compare, localize, report, effects):
     pmcl.add_command(command)

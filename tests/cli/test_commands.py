@@ -28,7 +28,7 @@ def python(code):
 def test_version_and_help(run):
     assert run("--version").stdout == f"pmcl {pmcl.__version__}\n"
     simulators = ("simulate", "simulate amigobot", "simulate aibo")
-    for command in ("", *simulators, "convert", "calibrate", "compare", "localize", "report", "demo"):
+    for command in ("", *simulators, "convert", "calibrate", "compare", "localize", "report", "demo", "effects"):
         result = run(*command.split(), "--help")
         assert result.exit_code == 0
         assert result.stdout.startswith("Usage: ")
@@ -231,3 +231,23 @@ def test_simulate_with_effects(run, refused, tmp_path):
     assert run(*arguments, "--hide-effects").exit_code == 0
     assert "effects" not in pmcl.read_log(path).dataset.attrs
     assert "did you mean 'range-bias'" in refused(*arguments[:4], "--effect", "rnge-bias")
+
+
+def test_effects_are_listed_and_told(run, refused, tmp_path):
+    from pmcl.models.effects.catalogue import CATALOGUE
+
+    listed = run("effects").stdout
+    for effect in CATALOGUE:
+        assert f"  {effect.name}: " in listed
+        assert all(f"{parameter.name} [{parameter.unit}]" in listed for parameter in effect.parameters)
+    told = run("effects", "beam-yaw").stdout
+    assert "beam-bias; to tell them apart" in told
+    assert max(map(len, (listed + told).splitlines())) <= 100
+    assert "did you mean 'beam-yaw'" in refused("effects", "beam-jaw")
+    page = tmp_path / "effects.html"
+    assert run("effects", "--html", page).exit_code == 0
+    text = page.read_text()
+    for effect in CATALOGUE:
+        assert f'id="{effect.name}"' in text
+        assert effect.summary.replace("'", "&#39;") in text
+    assert "http" not in text

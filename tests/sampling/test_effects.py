@@ -1,0 +1,179 @@
+"""Parameters of effects in the sampler: Metropolis, transport, and short calibrations that find them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles.effect_logs import BY_NAME, base_tables, instance, log_for, model_with, true_values
+from oracles.monte_carlo import chain_standard_error
+
+import pmcl
+from pmcl.filtering.particle_filter import log_joint, make_rng
+from pmcl.filtering.predict import moved_geometry, reading_geometry
+from pmcl.filtering.statistics import block_statistics, trajectory_statistics
+from pmcl.models.robot_model import default_model
+from pmcl.posterior.access import parameter_names, theta_draws
+from pmcl.posterior.files import read_posterior, write_posterior
+from pmcl.sampling.metropolis import update_theta
+from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
+
+# One of every kind: means, mounts, map, noise, mixture, memory, delay, a further state, places.
+KINDS = [
+    "odometry-turn-scale", "odometry-latency", "range-bias", "sensor-yaw", "beam-yaw", "wall-moved",
+    "range-bias-drifts",
+    "short-readings", "range-noise-correlated", "sensor-latency", "turn-noise-correlated", "slippery-patch",
+    "beam-width", "heavy-tailed-motion-noise", "unmapped-obstacle", "landmark-moved", "landmark-misread",
+    "bearing-bias", "range-is-depth", "landmark-range-noise-grows-with-range",
+]  # fmt: skip
+
+
+def bound_with(name, n_steps=60):
+    log = log_for(BY_NAME[name], n_steps)
+    effect = instance(BY_NAME[name], log)
+    bound = model_with(log, effect).bind(log)
+    theta = np.concatenate([true_values(log), effect.magnitude("clear")])
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    if bound.tables(theta)[0].start.mean.size > 3:
+        path = np.column_stack([path, np.zeros(len(path))])
+    return bound, theta, path
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_metropolis_updates_every_parameter_from_its_conditional(name, rng):
+    """Long runs by statistics and joint density agree with runs by the joint density alone."""
+    bound, theta, path = bound_with(name)
+    tables = bound.tables(theta)
+    statistics, covered = block_statistics(bound, theta, tables, [path])
+    assert trajectory_statistics(bound, theta, tables, [path]) is None
+    effect = bound.effects[0]
+    free = bound.dimension - len(effect.parameters)
+    touched = {"motion": [0, 1, 2], "sensor": range(3, free), "range": range(3, free), "landmark": range(3, free)}
+    lost = () if effect.means_only else touched[effect.carrier if effect.carrier != "map" else "range"]
+    assert sorted(covered) == [k for k in range(free) if k not in lost]
+    assert len(statistics) >= (covered.size > 0)
+    sfc = make_rng(int(rng.integers(2**62)))
+    log_step = np.log(np.maximum(0.3 * np.abs(theta), 0.02))
+    new, _, accepted = update_theta(bound, theta, tables, [path], log_step, 5, 0.0, sfc)
+    assert (new != theta).sum() >= 2
+    assert ((accepted >= 0.0) & (accepted <= 1.0)).all()
+    assert np.isfinite(bound.log_prior(new) + log_joint(bound.tables(new)[0], path))
+
+
+def test_statistics_with_moved_means_are_those_of_the_density():
+    """Differences of the compiled block's density are differences of the joint density, effects in place."""
+    from pmcl.filtering.kernels.metropolis import statistics_logpdf
+
+    for name in ("odometry-arc", "range-scale", "sensor-offset", "wall-moved"):
+        bound, theta, path = bound_with(name)
+        statistics, covered = block_statistics(bound, theta, bound.tables(theta), [path])
+        np.testing.assert_array_equal(covered, np.arange(4))
+        other = theta.copy()
+        other[:4] *= [1.3, 0.8, 1.2, 0.9]
+        found = statistics_logpdf(statistics, other[covered]) - statistics_logpdf(statistics, theta[covered])
+        exact = log_joint(bound.tables(other)[0], path) - log_joint(bound.tables(theta)[0], path)
+        assert found == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_transport_moves_carry_parameters_and_path_together(name, rng):
+    """Some are accepted, and what they return belongs together; the path's block moves are accepted, too."""
+    bound, theta, path = bound_with(name)
+    transform = Unconstrained(bound.parameters)
+    u = transform.to_line(theta)
+    transport = linearised_at(bound, theta, [path], Proposal(0.03 * np.eye(theta.size)))
+    assert transport is not None
+    value = bound.log_prior(theta) + log_joint(bound.tables(theta)[0], path)
+    sfc = make_rng(int(rng.integers(2**62)))
+    assert transport_moves(bound, theta, [path], value, transport, transform, 20, 0.0, sfc).walked == 1.0
+    made = transport_moves(bound, theta, [path], value, transport, transform, 150, 1.0, sfc)
+    assert made.walked > 0.05
+    assert made.refreshed > 0.2
+    assert (transform.to_line(made.theta) != u).all()
+    exact = bound.log_prior(made.theta) + log_joint(bound.tables(made.theta)[0], made.paths[0])
+    assert made.log_joint == pytest.approx(exact, rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ["sensor-yaw", "beam-yaw", "wall-moved", "sensor-offset", "landmark-moved"])
+def test_a_moved_sensor_or_map_moves_the_linearised_readings(name):
+    """Ideal values follow the table; with them frozen a change of the mount would not carry the path at all."""
+    bound, theta, path = bound_with(name)
+    (then,) = bound.tables(theta)
+    null = np.concatenate([theta[: -len(bound.effects[0].null)], bound.effects[0].null])
+    (now,) = bound.tables(null)
+    sensor = now.sensors[0]
+    made = reading_geometry(sensor, path)
+    assert moved_geometry(sensor, sensor, made, path) is made
+    moved = moved_geometry(then.sensors[0], sensor, made, path)
+    assert np.abs(moved.value - made.value).max() > 0.02
+    again = reading_geometry(then.sensors[0], path)
+    if again.value.size == moved.value.size:
+        np.testing.assert_allclose(moved.value, again.value, atol=1e-9)
+    np.testing.assert_array_equal(moved.reading, made.reading)
+
+
+def test_without_the_moved_readings_moves_of_the_mount_are_hardly_accepted(rng):
+    bound, theta, path = bound_with("sensor-yaw", 200)
+    step = np.zeros((theta.size, theta.size))
+    step[-1, -1] = 0.02
+    transform = Unconstrained(bound.parameters)
+    transport = linearised_at(bound, theta, [path], Proposal(step))
+    value = bound.log_prior(theta) + log_joint(bound.tables(theta)[0], path)
+    shares = []
+    for one in (transport, replace(transport, sensors=())):
+        sfc = make_rng(7)
+        shares.append(transport_moves(bound, theta, [path], value, one, transform, 300, 1.0, sfc).walked)
+    assert shares[0] > 3.0 * shares[1]
+    assert shares[0] > 0.1
+
+
+def _calibrated(log, *effects, **settings):
+    model = replace(default_model(log), effects=effects)
+    data = pmcl.calibrate(log, model, draws=300, chains=2, seed=1, **settings)
+    return data, dict(zip(parameter_names(data), np.moveaxis(theta_draws(data), -1, 0), strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "given", [("beam-bias@2=0.12",), ("odometry-turn-scale=0.12",), ("sensor-yaw=0.1", "short-readings=0.1")]
+)
+def test_effects_are_calibrated_jointly(given, tmp_path):
+    """The posterior holds the truth; files bring model and posterior back."""
+    log = pmcl.simulate_amigobot(200.0, 5, {"sigma_range": 0.05, "sigma_turn": 0.04}, effects=given)
+    told = [text.partition("=")[0] for text in given]
+    effects = [
+        BY_NAME["beam-bias"].instances(log)[2] if name == "beam-bias@2" else BY_NAME[name] for name in told
+    ]
+    data, draws = _calibrated(log, *effects)
+    for name, truth in log.true_theta.items():
+        low, high = np.quantile(draws[name], [0.002, 0.998])
+        assert low < truth < high, name
+        assert chain_standard_error(draws[name][..., None], 5)[0] < 0.5 * draws[name].std()
+    write_posterior(data, tmp_path / "posterior.nc")
+    track = pmcl.localize(log, posterior=read_posterior(tmp_path / "posterior.nc"), particles=300)
+    assert [effect.name for effect in pmcl.localization.model_choice.model_for(log, data).effects] == [
+        effect.name for effect in effects
+    ]
+    assert np.isfinite(track.log_score).all()
+
+
+def test_calibrating_with_an_effect_resumes_and_tells_its_place(tmp_path):
+    log = base_log()
+    beams = BY_NAME["beam-bias"].instances(log)
+    checkpoint = tmp_path / "run.h5"
+    settings = {"draws": 6, "chains": 2, "seed": 3, "burn_in_particles": 100, "checkpoint": checkpoint}
+    model = replace(default_model(log), effects=(beams[2],))
+    first = theta_draws(pmcl.calibrate(log, model, **settings))
+    again = theta_draws(pmcl.calibrate(log, model, **settings, resume=True))
+    np.testing.assert_array_equal(first, again)
+    with pytest.raises(pmcl.PmclError, match="another run"):
+        pmcl.calibrate(log, replace(model, effects=(beams[3],)), **settings, resume=True)
+
+
+def base_log():
+    log = log_for(BY_NAME["beam-bias"], 60)
+    assert base_tables(log).sensors
+    return log
