@@ -57,9 +57,14 @@ def found_effect(
     )  # fmt: skip
 
 
-def measured(found: FoundEffect, effect: Effect, after: Mapping[str, Estimate]) -> FoundEffect:
-    """Return a found effect with its calibrated parameters; a formula gets its coefficient."""
-    parameters = {p.name: after[p.name] for p in effect.parameters if p.name in after}
+def measured(
+    found: FoundEffect, effect: Effect, after: Mapping[str, Estimate], fixed: Mapping[str, float]
+) -> FoundEffect:
+    """Return a found effect with its calibrated parameters, or those held fixed; a formula gets its coefficient."""
+    parameters = {
+        p.name: after[p.name] if p.name in after else Estimate(float(fixed[p.name]), 0.0, p.unit)
+        for p in effect.parameters
+    }
     name = found.name
     if name.startswith(PREFIX):
         name = filled_in(name, after[effect.parameters[0].name].mean)
@@ -78,8 +83,8 @@ def candidates_of(
     for trial in sorted(trials, key=lambda one: -one.merit):
         assert trial.effect is not None
         z, p_value, _ = scored.pop(key_of(trial.effect), (trial.z, trial.p_value, trial.effect))
-        count = len(trial.effect.parameters)
-        values = dict(zip(trial.fit.bound.names[-count:], trial.fit.theta[-count:].tolist(), strict=True))
+        known = {**trial.model.fixed, **trial.fit.values()}
+        values = {p.name: float(known[p.name]) for p in trial.model.named_effects[-1].parameters}
         made.append(
             Candidate(
                 *(trial.effect.name, trial.effect.where, z, p_value),

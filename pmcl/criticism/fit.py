@@ -89,7 +89,8 @@ def quick_fit(
     theta : ndarray, shape (d,), optional
         Where to start; the prior mean when left out.
     path : ndarray, shape (T, D), optional
-        A trajectory to start from; drawn by a filter when left out.
+        A trajectory to start from; drawn by a filter when left out. Components that the model lacks are left out,
+        those that it has besides start at zero.
     draws : int
         Draws that are kept, after burn-in.
     particles : int
@@ -113,6 +114,7 @@ def quick_fit(
         sweep_path(bound.tables(theta)[0], path, len(path), _START_PARTICLES, rng, "smoothing")
         settings = SweepSettings("smoothing", 10 * particles, 10, 0, 1, 0, _GAIN)
     else:
+        path = _of_size(path, state_dimension(bound))
         settings = SweepSettings("conditional", particles, 10, 0, 1, 0, _GAIN)
     state = _state(bound, theta, path)
     transport: Transport | None = None
@@ -150,6 +152,13 @@ def _plausible_start(bound: BoundModel, rng: np.random.Generator) -> Float:
             "restart with a wider start belief or more particles"
         )
     return found
+
+
+def _of_size(path: Float, size: int) -> Float:
+    """Return a path (T, D) with components added (at zero) or left out."""
+    if path.shape[1] >= size:
+        return np.ascontiguousarray(path[:, :size])
+    return np.hstack([path, np.zeros((path.shape[0], size - path.shape[1]))])
 
 
 def _state(bound: BoundModel, theta: Float, path: Float) -> ChainState:

@@ -163,11 +163,15 @@ def try_effect(
     Returns None when the effect cannot be fitted (its tables do not go together with the model's).
     """
     try:
-        model = replace(current.model, effects=(*current.model.effects, effect))
-        bound = model.bind(log.select(0, split))
-        theta = np.concatenate([current.fit.theta, _start_values(effect, z)])
-        fitted = quick_fit(bound, seed, theta=theta, path=current.fit.path)
-        rows = row_scores(model.bind(log), fitted.theta, particles=particles, seed=seed)
+        told = {} if effect.tells is None else dict(effect.tells(log))
+        free = np.array([parameter.name not in told for parameter in effect.parameters])
+        model = replace(
+            current.model, effects=(*current.model.effects, effect), fixed={**current.model.fixed, **told}
+        )
+        bound = model.bind(log)
+        theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
+        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path)
+        rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
@@ -179,8 +183,9 @@ def trial_of_base(
     model: RobotModel, log: RobotLog, split: int, *, seed: int, particles: int, theta: Float, path: Float
 ) -> Trial:
     """Fit a model as it is on the fit part, from the fit of the whole log, and score all rows."""
-    fitted = quick_fit(model.bind(log.select(0, split)), seed, theta=theta, path=path[:split])
-    rows = row_scores(model.bind(log), fitted.theta, particles=particles, seed=seed)
+    bound = model.bind(log)
+    fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split])
+    rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
     nothing = Gain(0.0, 0.0)
     return Trial(None, model, fitted, rows, 0.0, nothing, nothing, nothing)
 
@@ -259,9 +264,11 @@ def spare_effects(
     while position < len(trial.model.effects) - 1:
         effects = trial.model.effects
         model = replace(trial.model, effects=effects[:position] + effects[position + 1 :])
-        start = [trial.fit.values().get(name) for name in model.bind(log.select(0, split)).names]
+        # By position, since parameters of effects that occur several times change their names with the others.
+        counts = [sum(p.name not in trial.model.fixed for p in one.parameters) for one in trial.model.named_effects]
+        begin = trial.fit.theta.size - sum(counts[position:])
         try:
-            theta = np.array([0.0 if value is None else value for value in start])
+            theta = np.delete(trial.fit.theta, np.s_[begin : begin + counts[position]])
             without = trial_of_base(
                 model, log, split, seed=seed, particles=particles, theta=theta, path=trial.fit.path
             )

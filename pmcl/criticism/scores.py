@@ -18,6 +18,7 @@ from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.contract import state_size
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
+from pmcl.models.rich_tables import WanderingMotion
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import RangeBeams, Tables
 
@@ -79,8 +80,18 @@ def directions(effects: Sequence[Effect]) -> tuple[Direction, ...]:
 
 
 def fits(effect: Effect, tables: Tables, log: RobotLog) -> bool:
-    """Return whether an effect leaves the states as they are, so that trajectories of the plain model can score it."""
+    """Return whether trajectories of the model can score an effect, and the log itself does not rule it out.
+
+    They can when it leaves the states as they are, or when its motion also has a density of trajectories without the
+    component that it adds.
+    """
+    if effect.tells is not None and not effect.tells(log):
+        return False
     edited = effect.edit(tables, np.array(effect.null), log)
+    return _same_states(edited, tables) or isinstance(edited.motion, WanderingMotion)
+
+
+def _same_states(edited: Tables, tables: Tables) -> bool:
     return int(state_size(edited.motion)) == int(state_size(tables.motion))
 
 
@@ -107,13 +118,18 @@ def effect_rows(tables: Tables, log: RobotLog, columns: Float, wanted: Sequence[
     rows = np.zeros((len(wanted), columns.shape[2]))
     terms = _Terms(columns)
     for row, direction in zip(rows, wanted, strict=True):
-        above = direction.effect.edit(tables, direction.above, log)
+        above = _on_the_same_states(direction.effect.edit(tables, direction.above, log), tables)
         if direction.one_sided:
             terms.difference(above, tables, row)
         else:
-            terms.difference(above, direction.effect.edit(tables, direction.below, log), row)
+            below = _on_the_same_states(direction.effect.edit(tables, direction.below, log), tables)
+            terms.difference(above, below, row)
             row *= 0.5
     return rows
+
+
+def _on_the_same_states(edited: Tables, tables: Tables) -> Tables:
+    return edited if _same_states(edited, tables) else edited._replace(start=tables.start)
 
 
 def base_rows(bound: BoundModel, theta: Float, columns: Float) -> Float:

@@ -165,6 +165,11 @@ class _Loop:
         current: Trial | None = None
         for number in range(rounds + 1):
             alarms = last.judgement.raised
+            told = self._told(last)
+            if told is not None and number < rounds:
+                current = self._added(last, told, [told], f"add {told.model.effects[-1].name}: its data tell of it")
+                last = self._refitted(last, current, number)
+                continue
             if not alarms or number == rounds:
                 decision = f"stop after {rounds} effects" if alarms else "nothing unusual"
                 self._record(last, current or self._trial_of(last), [], decision)
@@ -179,15 +184,37 @@ class _Loop:
                 self._record(last, current, trials, "nothing known explains it")
                 break
             assert accepted.effect is not None
-            self._record(last, current, trials, f"add {accepted.effect.name}", accepted)
-            gain = accepted.on_heldout.total
-            self.settings.tell(f"added {called(accepted.effect)}: {gain:+.1f} nats on held-out data")
-            current = self._without_spare(accepted)
-            seed = self.settings.seed + number + 1
-            last = self._pass(
-                quick_fit(current.model.bind(self.log), seed, theta=current.fit.theta, path=last.fit.path)
-            )
+            current = self._added(last, accepted, trials, f"add {accepted.effect.name}", before=current)
+            last = self._refitted(last, current, number)
         return self._result(first, last, joint, draws)
+
+    def _added(
+        self, last: Pass, accepted: Trial, trials: list[Trial], decision: str, before: Trial | None = None
+    ) -> Trial:
+        """Record a step that adds an effect; return the model to go on with."""
+        assert accepted.effect is not None
+        self._record(last, before or self._trial_of(last), trials, decision, accepted)
+        gain = accepted.on_heldout.total
+        self.settings.tell(f"added {called(accepted.effect)}: {gain:+.1f} nats on held-out data")
+        return self._without_spare(accepted)
+
+    def _refitted(self, last: Pass, current: Trial, number: int) -> Pass:
+        """Fit the new model to the whole log, and criticise it in its turn."""
+        seed = self.settings.seed + number + 1
+        return self._pass(quick_fit(current.model.bind(self.log), seed, theta=current.fit.theta, path=last.fit.path))
+
+    def _told(self, last: Pass) -> Trial | None:
+        """Return the model with an effect that the data show by themselves, as rounding shows in their digits.
+
+        How readings scatter says little about such an effect; it is added unless it makes predictions worse.
+        """
+        shown = [one.effect for one in self.wanted if one.effect.tells is not None and one.effect.tells(self.log)]
+        for effect in shown:
+            (trial,) = self._tried(self._trial_of(last), [(effect, 0.0)]) or (None,)
+            if trial is not None and trial.on_all.total > -max(3.0, 2.0 * trial.on_all.se):
+                self.found.append(replace(found_effect(trial, (), last.judgement, self.wanted), p_value=0.0))
+                return trial
+        return None
 
     def _pass(self, fit: Fit) -> Pass:
         self.wanted = candidate_directions(self.log, fit, self.offered)
@@ -270,7 +297,7 @@ class _Loop:
             )
             after = drawn_estimates(last.fit, posterior)
         added = model.named_effects[len(self.base.effects) :]
-        found = tuple(measured(one, effect, after) for one, effect in zip(self.found, added, strict=True))
+        found = tuple(measured(one, effect, after, model.fixed) for one, effect in zip(self.found, added, strict=True))
         unexplained = unexplained_of(last, self.wanted)
         verdict = verdict_of(found, last.judgement)
         settings: dict[str, Any] = vars(self.settings) | {"split": self.split, "log": self.log.fingerprint()}

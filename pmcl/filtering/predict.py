@@ -197,10 +197,11 @@ def _sighting_geometry(table: Any, reference: Float) -> ReadingGeometry:
     d_bearing = (ahead[:, None] * d_aside - aside[:, None] * d_ahead) / distance[:, None] ** 2
     bearing = np.arctan2(aside, ahead) - table.sensor_pose[2]
     size_value, d_size = distance**-2.0, (-2.0 * distance**-3.0)[:, None] * d_range
+    ranges, bearings, sizes = (values[: time.size] for values in (table.range, table.bearing, table.size))
     residual = [
-        (table.range - table.range_scale[which] * distance - table.range_bias[which]) / table.range_std[which],
-        _wrapped(table.bearing - bearing - table.bearing_bias[which]) / table.bearing_std[which],
-        (table.size / (table.size_constant[which] * size_value) - 1.0) / table.size_std[which],
+        (ranges - table.range_scale[which] * distance - table.range_bias[which]) / table.range_std[which],
+        _wrapped(bearings - bearing - table.bearing_bias[which]) / table.bearing_std[which],
+        (sizes / (table.size_constant[which] * size_value) - 1.0) / table.size_std[which],
     ]
     scales = [table.range_std[which], table.bearing_std[which], table.size_std[which]]
     outlier = [np.log(table.max_range), np.log(2.0 * np.pi), 0.0]
@@ -212,9 +213,9 @@ def _sighting_geometry(table: Any, reference: Float) -> ReadingGeometry:
     weight = _inlier_share(log_inlier, table.outlier_weight[which], log_outlier)
     rows = []
     for kind, z, value, slope in (
-        (RANGE, table.range, distance, d_range),
-        (BEARING, table.bearing, bearing, d_bearing),
-        (SIZE, table.size, size_value, d_size),
+        (RANGE, ranges, distance, d_range),
+        (BEARING, bearings, bearing, d_bearing),
+        (SIZE, sizes, size_value, d_size),
     ):
         seen = np.flatnonzero(~np.isnan(z))
         jacobian = np.zeros((seen.size, size))

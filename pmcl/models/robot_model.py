@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -233,6 +234,16 @@ class BoundModel:
                 tables = effect.edit(tables, values, log)
             made.append(tables)
         return tuple(made)
+
+    def restricted(self, rows: int) -> BoundModel:
+        """Return the same model of no more than the first `rows` rows of each log.
+
+        Tables stay those of whole logs, so that times and shares of a log keep their meaning; what is fitted and
+        filtered ends after these rows.
+        """
+        made = copy.copy(self)
+        made.lengths = tuple(min(rows, length) for length in self.lengths)
+        return made
 
     def has_statistics(self, position: int) -> bool:
         """Return whether the statistics that a part offers are still those of its density, effects included.
