@@ -1,0 +1,69 @@
+"""The quick fit: right numbers from one short chain, on a whole log and on its first rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmcl.criticism.fit import quick_fit
+from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.robots.landmark_field import simulate_landmark_field
+
+# mypy: disable-error-code="no-untyped-def"
+
+NOISE = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
+
+
+@pytest.fixture(scope="module", params=["walls", "landmarks"])
+def log(request):
+    if request.param == "walls":
+        return simulate_amigobot(120.0, 3, NOISE)
+    return simulate_landmark_field(120, 3, bearings=True, reach=12.0)
+
+
+def test_parameters_and_path_are_recovered(log):
+    bound = default_model(log).bind(log)
+    found = quick_fit(bound, 1)
+    true = np.array([log.true_theta[name] for name in bound.names])
+    assert np.all(np.abs(found.theta - true) < 4.5 * found.std)
+    assert np.all(found.std < 0.5 * true)
+    error = np.abs(found.path[:, :2] - log.true_poses[:, :2])
+    assert np.mean(error) < 3.0 * np.mean(found.path_std[:, :2])
+    again = quick_fit(bound, 1)
+    np.testing.assert_array_equal(found.draws, again.draws)
+
+
+def test_first_rows_of_a_log_are_the_log_cut_there(log):
+    model = default_model(log)
+    whole, cut = model.bind(log), model.bind(log.select(0, 70))
+    theta = np.array([log.true_theta[name] for name in whole.names])
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    ours = quick_fit(whole.restricted(70), 5, theta=theta, path=path[:70], draws=20)
+    theirs = quick_fit(cut, 5, theta=theta, path=path[:70], draws=20)
+    np.testing.assert_allclose(ours.draws, theirs.draws, rtol=1e-9)
+    assert whole.lengths == (120,)
+
+
+def test_shares_of_a_log_keep_their_meaning_in_its_first_rows():
+    log = simulate_amigobot(100.0, 3, NOISE)
+    drift = effect_named("range-bias-drifts")
+    bound = RobotModel(sensors=default_model(log).sensors, effects=(drift,)).bind(log)
+    theta = np.append([NOISE[name] for name in bound.names[:4]], 0.2)
+    bias = bound.restricted(60).tables(theta)[0].sensors[0].bias_at
+    np.testing.assert_array_equal(bias[:60], bound.tables(theta)[0].sensors[0].bias_at[:60])
+    assert 0.1 < bias[59] < 0.13
+
+
+def test_a_component_that_the_path_lacks_starts_at_zero():
+    log = simulate_amigobot(60.0, 3, NOISE)
+    wandering = RobotModel(sensors=default_model(log).sensors, effects=(effect_named("turn-noise-correlated"),))
+    bound = wandering.bind(log)
+    theta = np.append([NOISE[name] for name in bound.names[:4]], [0.02, 20.0])
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    found = quick_fit(bound, 1, theta=theta, path=path, draws=20)
+    assert found.path.shape == (60, 4)
+    assert np.ptp(found.path[:, 3]) > 0.0
