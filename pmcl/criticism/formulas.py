@@ -1,6 +1,6 @@
 """Effects outside the catalogue, written as a formula: a coefficient times a feature, on some carrier.
 
-When something is unusual and no known effect explains it, small features of motion, place and time are
+When something is unusual and no known effect explains it, small features of motion, place, time and beam geometry are
 offered as effects like any other: scored, refitted, and accepted only by held-out data. What is accepted reads
 ``formula: turn += 0.03*cos(heading)``; what is not stays unknown.
 """
@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pmcl.criticism.covariates import row_covariates
+from pmcl.criticism.covariates import incidence, row_covariates
+from pmcl.filtering.predict import beam_lengths
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.parameters import Parameter
-from pmcl.models.tables import Tables
+from pmcl.models.rich_tables import RichRangeBeams, rich_beams
+from pmcl.models.tables import RangeBeams, Tables
 
 __all__ = ["PREFIX", "filled_in", "formulas"]
 
@@ -90,6 +92,9 @@ def formulas(log: RobotLog, tables: Tables, path: Float) -> tuple[Effect, ...]:
     made = [_formula(carrier, name, feature) for carrier in _ON_ROWS for name, feature in rows.items()]
     cells = _cell_features(path)
     made += [_formula(carrier, name, feature) for carrier in _ON_ROWS[:2] for name, feature in cells.items()]
+    for sensor in tables.sensors:
+        if isinstance(sensor, RangeBeams | RichRangeBeams):
+            made += [_formula(_RANGE, name, feature) for name, feature in _beam_features(sensor, path, rows).items()]
     return tuple(effect for effect in made if effect is not None)
 
 
@@ -147,3 +152,29 @@ def _cell_features(path: Float) -> dict[str, Float]:
             # A step belongs to the place where it begins.
             found[f"[x in {x0:.2f}..{x1:.2f}, y in {y0:.2f}..{y1:.2f}]"] = np.roll(inside, 1).astype(float)
     return found
+
+
+def _range(tables: Tables, change: Float) -> Tables:
+    def shifted(sensor: Any) -> Any:
+        rich = rich_beams(sensor)
+        return rich._replace(bias_at=rich.bias_at + change)
+
+    beams = RangeBeams | RichRangeBeams
+    return tables._replace(sensors=tuple(shifted(s) if isinstance(s, beams) else s for s in tables.sensors))
+
+
+_RANGE = _Carrier("range += ", "m", 0.04, _range, "range")
+
+
+def _beam_features(sensor: Any, path: Float, rows: dict[str, Float]) -> dict[str, Float]:
+    """Return features of each beam at each row, (T, B)."""
+    distance = np.minimum(beam_lengths(sensor, path), sensor.max_range)
+    direction = path[:, 2, None] + sensor.beam_pose[:, 2]
+    of_rows = {name: np.repeat(column[:, None], distance.shape[1], axis=1) for name, column in rows.items()}
+    return {
+        "distance^2": distance**2,
+        "tan(incidence)": np.tan(np.minimum(incidence(sensor, path), 1.3)),
+        "cos(world_direction)": np.cos(direction),
+        "sin(world_direction)": np.sin(direction),
+        **{name: column for name, column in of_rows.items() if name.startswith(("(", "speed"))},
+    }

@@ -18,6 +18,7 @@ from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support
+from pmcl.models.rich_tables import uniform
 from pmcl.models.robot_model import BoundModel, RobotModel
 from pmcl.models.tables import Tables
 
@@ -151,7 +152,7 @@ def scan(
             probe_values(direction.effect, side, direction.strength)
             for side in ((1.0,) if direction.one_sided else (1.0, -1.0))
         ]
-        gains[k] = max(evidence(direction.effect.edit(tables, one, log)) for one in values) - base
+        gains[k] = max(evidence(uniform(direction.effect.edit(tables, one, log))) for one in values) - base
     return gains
 
 

@@ -121,10 +121,10 @@ def _(table: RichRangeBeams, reference: Float) -> RichGeometry:
     rows = reference.shape[0]
     std = table.std * table.std_factor[:rows, None]
     made = _beam_geometry(
-        table._replace(reading=table.reading[:rows] - table.bias_at[:rows, None], std=std, outlier_weight=1.0 - sound),
+        table._replace(reading=table.reading[:rows] - table.bias_at[:rows], std=std, outlier_weight=1.0 - sound),
         reference,
     )
-    made = made._replace(reading=np.ascontiguousarray(made.reading + table.bias_at[_times_of(made)]))
+    made = made._replace(reading=np.ascontiguousarray(made.reading + table.bias_at[_times_of(made), made.channel]))
     return _enriched(made, reference, made.value.copy(), np.ones(made.value.size))
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.models.tables import GaussianStart, IncrementMotion, LandmarkSightings, PoseStart, RangeBeams
+from pmcl.models.tables import GaussianStart, IncrementMotion, LandmarkSightings, PoseStart, RangeBeams, Tables
 
 __all__ = [
     "RichLandmarks",
@@ -24,6 +24,7 @@ __all__ = [
     "rich_landmarks",
     "rich_motion",
     "ring_neighbours",
+    "uniform",
     "wandering_motion",
     "wider_start",
 ]
@@ -115,8 +116,10 @@ class RichRangeBeams(NamedTuple):
     ----------
     reading, measured, beam_pose, bias, scale, std, outlier_weight, max_range, vertices, wall_start, wall_stop
         As for :class:`~pmcl.models.tables.RangeBeams`.
-    bias_at, std_factor : ndarray, shape (T,)
-        Added to what is expected [m]; factor on the standard deviation.
+    bias_at : ndarray, shape (T, B)
+        Added to what is expected [m].
+    std_factor : ndarray, shape (T,)
+        Factor on the standard deviation.
     growth : ndarray, shape (B,)
         Growth of the standard deviation with the length of the ray [1/m].
     tail : float
@@ -256,7 +259,7 @@ def rich_beams(beams: RangeBeams | RichRangeBeams) -> RichRangeBeams:
     nothing = np.zeros((6, n_beams))
     return RichRangeBeams(
         *beams,
-        bias_at=np.zeros(n_steps),
+        bias_at=np.zeros((n_steps, n_beams)),
         std_factor=np.ones(n_steps),
         growth=nothing[0],
         tail=0.0,
@@ -292,3 +295,22 @@ def rich_landmarks(seen: LandmarkSightings | RichLandmarks) -> RichLandmarks:
     return RichLandmarks(
         *seen, lag=lag, range_growth=nothing[0], bearing_falloff=nothing[1], depth=0.0, misread_weight=nothing[2]
     )
+
+
+def uniform(tables: Tables) -> Tables:
+    """Return tables of which all are rich where one of them is; densities stay the same."""
+    rich = (RichMotion, WanderingMotion, RichRangeBeams, RichLandmarks)
+    if not any(isinstance(table, rich) for table in (tables.motion, *tables.sensors)):
+        return tables
+    motion: NamedTuple = tables.motion
+    sensors: list[NamedTuple] = []
+    if isinstance(motion, IncrementMotion):
+        motion = rich_motion(motion)
+    for sensor in tables.sensors:
+        if isinstance(sensor, RangeBeams):
+            sensors.append(rich_beams(sensor))
+        elif isinstance(sensor, LandmarkSightings):
+            sensors.append(rich_landmarks(sensor))
+        else:
+            sensors.append(sensor)
+    return Tables(tables.start, motion, tuple(sensors))

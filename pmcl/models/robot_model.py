@@ -16,6 +16,7 @@ from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.parameters import Parameter, PriorTable, log_prior_function, prior_support, prior_table
 from pmcl.models.parts import BoundPart, Float, Int, Part
+from pmcl.models.rich_tables import uniform
 from pmcl.models.sensors import LandmarkNoise, RangeNoise
 from pmcl.models.start import StartBelief
 from pmcl.models.tables import Tables
@@ -232,7 +233,8 @@ class BoundModel:
             tables = Tables(start, motion, tuple(sensors))
             for effect, values in zip(self.effects, own[n_parts:], strict=True):
                 tables = effect.edit(tables, values, log)
-            made.append(tables)
+            # Kernels are compiled for each combination of table types: all rich or all plain keeps these few.
+            made.append(uniform(tables))
         return tuple(made)
 
     def restricted(self, rows: int) -> BoundModel:

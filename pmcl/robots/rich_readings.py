@@ -37,7 +37,7 @@ def draw_range_readings(table: RichRangeBeams, path: Float, rng: np.random.Gener
     lengths = beam_lengths(table, poses)
 
     def expected(of: Float) -> Float:
-        return np.asarray(np.minimum(table.scale * of + table.bias + table.bias_at[:, None], 2.0 * longest))
+        return np.asarray(np.minimum(table.scale * of + table.bias + table.bias_at, 2.0 * longest))
 
     std = table.std * table.std_factor[:, None] * (1.0 + table.growth * np.minimum(lengths, longest))
 
@@ -104,7 +104,7 @@ def _correlated(
     """Draw row by row, each echo given the one before; missing rows break the chain."""
     prompt = _late(path, np.zeros(len(path)))
     before = np.minimum(
-        table.scale * beam_lengths(table, prompt) + table.bias + table.bias_at[:, None], 2.0 * table.max_range
+        table.scale * beam_lengths(table, prompt) + table.bias + table.bias_at, 2.0 * table.max_range
     )
     lengths = beam_lengths(table, prompt)
     spread = table.std * table.std_factor[:, None] * (1.0 + table.growth * np.minimum(lengths, table.max_range))

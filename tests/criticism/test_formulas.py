@@ -40,6 +40,9 @@ def test_formulas_do_what_they_say(library):
     speed = np.hypot(log.odometry[1:, 0], log.odometry[1:, 1])
     np.testing.assert_allclose(noisier.std[1:, 2], 0.04 * np.exp(2.0 * speed))
     assert sum("[x in" in name for name in library) >= 4
+    longer = library["formula: range += c*cos(world_direction)"].edit(tables, [0.05], log).sensors[0]
+    direction = heading[:, None] + log.beam_poses[:, 2]
+    np.testing.assert_allclose(longer.bias_at, 0.05 * np.cos(direction), atol=1e-12)
 
 
 def test_null_changes_nothing_and_parts_of_a_log_work(library):
@@ -51,7 +54,9 @@ def test_null_changes_nothing_and_parts_of_a_log_work(library):
         same = effect.edit(tables, effect.null, log)
         np.testing.assert_array_equal(same.motion.mean, tables.motion.mean)
         np.testing.assert_array_equal(same.motion.std, tables.motion.std)
-        assert effect.edit(short, effect.magnitude("clear"), part).motion.mean.shape == (50, 3)
+        edited = effect.edit(short, effect.magnitude("clear"), part)
+        assert edited.motion.mean.shape == (50, 3)
+        assert getattr(edited.sensors[0], "bias_at", np.zeros((50, 8))).shape == (50, 8)
 
 
 def test_formulas_are_effects_of_an_ordinary_model(library):

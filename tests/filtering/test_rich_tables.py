@@ -58,7 +58,7 @@ def everything(beams, rng):
     """Beams with all effects at once."""
     n_steps, n_beams = beams.reading.shape
     return rich_beams(beams)._replace(
-        bias_at=rng.normal(0.0, 0.1, n_steps),
+        bias_at=rng.normal(0.0, 0.1, (n_steps, n_beams)),
         std_factor=rng.uniform(0.5, 2.0, n_steps),
         growth=rng.uniform(0.0, 0.5, n_beams),
         tail=0.2,
@@ -76,7 +76,7 @@ def everything(beams, rng):
 
 
 ALONE = {
-    "bias_at": lambda t, b: {"bias_at": np.full(t, 0.2)},
+    "bias_at": lambda t, b: {"bias_at": np.full((t, b), 0.2)},
     "growth": lambda t, b: {"growth": np.full(b, 0.4)},
     "tail": lambda t, b: {"tail": 0.3},
     "step": lambda t, b: {"step": 0.17},
@@ -153,7 +153,7 @@ def test_the_density_of_a_reading_integrates_to_one(name, rng):
     base = base._replace(reading=reading, measured=np.full(2 * grid.size, n_beams))
     table = rounded_or_not(base, name, rng)
     table = table._replace(
-        bias_at=np.full(2 * grid.size, table.bias_at[1]),
+        bias_at=np.tile(table.bias_at[1], (2 * grid.size, 1)),
         std_factor=np.full(2 * grid.size, table.std_factor[1]),
         lag=np.full(2 * grid.size, table.lag[1]),
     )

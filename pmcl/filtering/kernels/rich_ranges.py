@@ -159,7 +159,7 @@ def _expect(sensor, beam, first, stride, n, previous_inverse, own, inverse):
         row = first + stride * i
         length = 1.0 / inverse[i]
         z[i] = sensor.reading[row, beam]
-        expected[i] = min(scale * length + bias + sensor.bias_at[row], far)
+        expected[i] = min(scale * length + bias + sensor.bias_at[row, beam], far)
         std[i] = base * sensor.std_factor[row] * (1.0 + growth * min(length, longest))
         centre[i], width[i] = expected[i], std[i]
     correlation = sensor.correlation[beam]
@@ -171,7 +171,7 @@ def _expect(sensor, beam, first, stride, n, previous_inverse, own, inverse):
         if row < 0:
             continue
         before, length = sensor.reading[row, beam], 1.0 / previous_inverse[i]
-        residual = before - min(scale * length + bias + sensor.bias_at[row], far)
+        residual = before - min(scale * length + bias + sensor.bias_at[row, beam], far)
         spread = base * sensor.std_factor[row] * (1.0 + growth * min(length, longest))
         if 0.0 < before < longest and abs(residual) < _RELATED * spread:
             centre[i] += correlation * residual
@@ -229,7 +229,7 @@ def _other_echo(sensor, beam, first, stride, n, lengths_inverse, own, weight):
     z, std, keep, rest, centre, out = own[_Z], own[_STD], own[_KEEP], own[_REST], own[_SUM], own[_OTHER_RAY]
     far = _FAR * sensor.max_range
     for i in range(n):
-        shift = sensor.bias[beam] + sensor.bias_at[first + stride * i]
+        shift = sensor.bias[beam] + sensor.bias_at[first + stride * i, beam]
         centre[i] = min(sensor.scale[beam] / lengths_inverse[i] + shift, far)
     _echo_into(sensor, n, z, centre, std, out)
     exp_into(out, 0.0, centre)
@@ -259,7 +259,7 @@ def _mix(sensor, beam, first, stride, n, pose, sine, cosine_heading, own, invers
         for i in range(n):
             length = _obstacle_length(sensor, k, beam, pose[0, i], pose[1, i], sine[i], cosine_heading[i])
             if length * inverses[beam, i] < 1.0:
-                shift = sensor.bias[beam] + sensor.bias_at[first + stride * i]
+                shift = sensor.bias[beam] + sensor.bias_at[first + stride * i, beam]
                 centre = min(sensor.scale[beam] * length + shift, far)
                 density = math.exp(_one_echo(sensor, z[i], centre, std[i]))
                 keep[i] *= 1.0 - weight
@@ -399,7 +399,7 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     longest, far = sensor.max_range, _FAR * sensor.max_range
     beyond = z >= longest
     share = min(max(z / longest, 0.0), 1.0)
-    shift = sensor.bias[beam] + sensor.bias_at[t]
+    shift = sensor.bias[beam] + sensor.bias_at[t, beam]
     for i in range(logp.size):
         std, expected = own[_STD, i], own[_EXPECTED, i]
         below, upto = _echo_below(sensor, z, own[_CENTRE, i], own[_WIDTH, i])
@@ -444,7 +444,7 @@ def _linear_information(sensor, geometry, t, precision, shift):
         # What rounding, heavy tails and a memory add to the scatter.
         variance = std * std * (1.0 + min(2.0 * sensor.tail, 1.0)) + sensor.step * sensor.step / 12.0
         variance *= (1.0 + correlation) / (1.0 - correlation)
-        expected = scale * (length - sensor.lag[t] * geometry.velocity[k]) + sensor.bias[beam] + sensor.bias_at[t]
+        expected = scale * (length - sensor.lag[t] * geometry.velocity[k]) + sensor.bias[beam] + sensor.bias_at[t, beam]
         add_information(
             jacobian, k, scale, geometry.weight[k] / variance, geometry.reading[k] - expected, precision, shift
         )  # fmt: skip

@@ -46,7 +46,7 @@ def _changes(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
 
 
 def _drifts(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    shift = values[0] * elapsed(log)
+    shift = values[0] * elapsed(log)[:, None]
     return enrich_beams(tables, lambda beams: {"bias_at": beams.bias_at + shift}, "range-bias-drifts")
 
 
