@@ -112,10 +112,15 @@ def _same(one: Effect, other: Effect) -> bool:
 
 
 def _distinct(wanted: Sequence[Direction], order: Sequence[int]) -> list[int]:
-    """Keep the first direction of each effect."""
+    """Keep the first direction of each effect, and of effects of many places only the first few.
+
+    An effect that can move to its place when it is refitted needs one; two beams may be much alike.
+    """
     kept: list[int] = []
     for k in order:
-        if not any(_same(wanted[k].effect, wanted[other].effect) for other in kept):
+        effect = wanted[k].effect
+        alike = [wanted[other].effect for other in kept if wanted[other].effect.name == effect.name]
+        if not any(_same(effect, other) for other in alike) and len(alike) < (1 if effect.shape else 2):
             kept.append(k)
     return kept
 
@@ -218,10 +223,13 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
         lead = paired_gain(best.rows, rival.rows, slice(0, best.fit.bound.lengths[0]))
         if not lead.significant and rival.on_fit.significant:
             best = rival
+    assert best.effect is not None
     twins = []
     for trial in trials:
         if trial is best or not trial.on_all.significant:
             continue
+        if best.effect.shape and trial.effect is not None and trial.effect.name == best.effect.name:
+            continue  # the same effect, found from another place
         lead = paired_gain(best.rows, trial.rows, slice(None))
         if lead.total < 2.0 * lead.se:
             twins.append(trial)
