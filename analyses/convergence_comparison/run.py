@@ -9,6 +9,7 @@ It is what `pmcl compare` does, stored as numbers: curves.csv (each method at gr
 
 import argparse
 import csv
+import sys
 from pathlib import Path
 
 from pmcl.comparison.compare import Comparison, compare
@@ -81,7 +82,7 @@ def main() -> None:
         log, methods, seconds = simulate_amigobot(20.0, LOG_SEED, TRUTH), "conditional:10,smoothing:10,ensemble:50", 2.0
     else:
         log, methods, seconds = simulate_amigobot(400.0, LOG_SEED, TRUTH), METHODS, 60.0
-    store(compare(log, methods, seconds=seconds, seed=SEED, progress=not arguments.small), arguments.output)
+    store(compare(log, methods, seconds=seconds, seed=SEED, progress=sys.stderr.isatty()), arguments.output)
 
 
 if __name__ == "__main__":

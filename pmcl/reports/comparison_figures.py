@@ -39,7 +39,6 @@ def plot_comparison(comparison: Comparison) -> Figure:
             # On a logarithmic scale an R-hat below 1, which chance allows, has no place.
             shown = np.maximum(values, 1e-4)
             axes.plot(result.curve.wall, shown, ".-", color=chain_color(number), markersize=4, linewidth=1.3)
-        axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_ylabel(label)
         tidy(axes)

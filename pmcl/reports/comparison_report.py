@@ -24,6 +24,8 @@ __all__ = [
 
 # A mean that is further from the reference than this many standard errors of the two is another answer, not noise.
 _FAR = 4.0
+# Chains further apart than this R-hat have no effective sample size worth telling.
+_APART = 1.2
 
 
 class ComparisonVerdict(NamedTuple):
@@ -109,6 +111,7 @@ def comparison_table(comparison: Comparison) -> Table:
     rows = []
     for result in comparison.results:
         curve = result.curve
+        counted = bool(curve.r_hat[-1] <= _APART)
         cells = [
             str(result.method),
             str(result.chains),
@@ -117,10 +120,10 @@ def comparison_table(comparison: Comparison) -> Table:
             f"{curve.wall[-1]:.1f}",
             f"{curve.cpu[-1]:.1f}",
             _number(curve.r_hat[-1], 3),
-            _number(curve.ess[-1], 0),
-            f"{result.ess_per_cpu_second:.2g}" if np.isfinite(curve.ess[-1]) else "-",
+            _number(curve.ess[-1], 0) if counted else "-",
+            f"{result.ess_per_cpu_second:.2g}" if counted else "-",
             rounded(float(curve.error[-1]), 0.1 * float(curve.error[-1])),
-            f"{expected_error(comparison, result):.2g}" if np.isfinite(curve.ess[-1]) else "-",
+            f"{expected_error(comparison, result):.2g}" if counted else "-",
         ]
         if comparison.truth is not None:
             cells.append(_number(curve.error_of_truth[-1], 2))

@@ -38,8 +38,8 @@ def read(path):
 
 @pytest.mark.slow
 def test_longer_drives_tell_more_of_the_amigobot(small):
-    folder = small("amigobot_posterior")
-    short, long = (np.load(folder / f"draws_{seconds}_conditional.npz") for seconds in (40, 200))
+    folder = small("posterior_samples")
+    short, long = (np.load(folder / f"amigobot_{seconds}_conditional.npz") for seconds in (40, 200))
     spreads = []
     for run in (short, long):
         flat = run["theta"].reshape(-1, 4).astype(float)
@@ -83,3 +83,45 @@ def test_the_position_error_hardly_depends_on_the_draws_per_reading(small):
     errors = [float(rows[way]["position_rmse"]) for way in (("mean", "0"), ("anew", "1"), ("anew", "5"))]
     assert max(errors) < 1.15 * min(errors)
     assert all(float(row["standard_error"]) > 0.0 for row in rows.values())
+
+
+@pytest.mark.slow
+def test_a_filter_of_few_particles_does_better_with_inflated_noise(small):
+    folder = small("the_paradox")
+    found = {(row["kernel"], int(row["particles"])): row for row in read(folder / "calibrations.csv")}
+    exact = found["conditional", 25]
+    assert abs(float(exact["sigma_range_mean"]) - 0.02) < 4.0 * float(exact["sigma_range_sd"])
+    inflated = [float(found["smoothing", n]["sigma_range_mean"]) / 0.02 for n in (25, 400)]
+    assert inflated[0] > 2.0
+    assert 1.0 < inflated[1] < 1.6
+    errors = {}
+    for row in read(folder / "errors.csv"):
+        assert row["lost"] == "0"
+        errors.setdefault((int(row["particles"]), row["source"]), []).append(float(row["error"]))
+    # On the same ten trajectories each: smoothing beats the truth at 25 particles, nobody beats it much at 400.
+    better = np.array(errors[25, "true"]) - np.array(errors[25, "smoothing"])
+    assert better.mean() > 3.0 * better.std(ddof=1) / np.sqrt(len(better))
+    many = {source: np.mean(errors[400, source]) for source in ("true", "smoothing", "conditional", "prior")}
+    assert many["prior"] > 1.3 * many["true"]
+    assert abs(many["conditional"] / many["true"] - 1.0) < 0.1
+    evidence = {
+        (int(row["particles"]), float(row["factor"])): float(row["log_evidence"])
+        for row in read(folder / "landscape.csv")
+        if row["trajectory"] == "0"
+    }
+    assert evidence[25, 4.0] > evidence[25, 1.0] + 100.0
+    assert evidence[400, 1.0] > evidence[400, 4.0] + 100.0
+
+
+@pytest.mark.slow
+def test_calibrated_parameters_localize_nearly_as_well_as_true_ones(small):
+    folder = small("localization_error", "amigobot")
+    errors = {}
+    for row in read(folder / "errors_amigobot.csv"):
+        assert row["lost"] == "0"
+        errors.setdefault(row["method"], []).append(float(row["position"]))
+    mean = {method: np.mean(values) for method, values in errors.items()}
+    assert set(mean) == {"prior", "true", "mean", "map", "posterior"}
+    assert mean["prior"] > 1.2 * mean["true"]
+    for method in ("mean", "posterior"):
+        assert abs(mean[method] / mean["true"] - 1.0) < 0.1

@@ -51,7 +51,10 @@ def test_the_verdict_tells_the_best_from_the_wrong_and_the_unfinished(comparison
     assert "1 of 3 methods reached the posterior" in verdict.message
     assert any(line.startswith("smoothing:50 has converged, but") for line in verdict.advice)
     assert any(line.startswith("plain:25 has not converged") for line in verdict.advice)
-    assert [row.short for row in comparison_table(comparison).rows] == [False, True, True]
+    rows = comparison_table(comparison).rows
+    assert [row.short for row in rows] == [False, True, True]
+    # Chains that have not met have no effective sample size.
+    assert [row.cells[7] == "-" for row in rows] == [False, False, True]
 
 
 def test_the_numbers_are_those_of_the_draws(comparison):
