@@ -99,9 +99,10 @@ class OnlineLocalizer:
     ) -> None:
         self._rows = RecentRows(robot, memory)
         self._rng = make_rng(seed)
-        # Bound once, with everything checked, to a row without readings; later rows follow without checks.
+        # Bound once, with everything checked, to rows without readings; later rows follow without checks.
         template = RecentRows(robot, memory)
-        template.add(0.0, None, dict.fromkeys(_CHANNELS))
+        for time in (0.0, 1.0):
+            template.add(time, np.zeros(3), dict.fromkeys(_CHANNELS))
         self._prepared = prepare(
             template, model or default_model(robot), posterior, method, theta, particles, options
         )
@@ -151,7 +152,9 @@ class OnlineLocalizer:
         self._rows.add(float(time), odometry, readings)
         bound = self._prepared.bound.on_later_rows(self._rows)
         tracker = self._prepared.tracker
-        tracker.use([bound.tables(value)[0] for value in self._prepared.theta])
+        # At the first row there is no motion yet, and effects may divide by its duration.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            tracker.use([bound.tables(value)[0] for value in self._prepared.theta])
         row = self._rows.n_steps - 1
         counts = np.array([self._rows.readings_of_last_row()], dtype=np.int64)
         beliefs = tracker.run(row, row + 1, counts, self._rng, f"time {time:g} s")

@@ -112,8 +112,10 @@ class FilterOptions:
                 "several thousand for a start anywhere"
             )
         annealed = 0
-        if self.annealed and isinstance(start, PoseStart):
-            annealed = 2 if bool(np.isinf(start.std).all()) else 1
+        # States with more than a pose begin with a belief about the pose too.
+        pose = getattr(start, "pose", start)
+        if self.annealed and isinstance(pose, PoseStart):
+            annealed = 2 if bool(np.isinf(pose.std).all()) else 1
         return Options(
             self.start_particles or particles, least, particles, draws, picks, SCHEMES[self.scheme],
             float(self.threshold), annealed, self.recover, _FAST, _SLOW, _TOLERANCE,

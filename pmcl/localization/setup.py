@@ -15,6 +15,7 @@ from pmcl.localization.options import FilterOptions
 from pmcl.localization.parameters import choose_theta
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.rich_tables import WiderStart
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.models.start import StartBelief
 from pmcl.models.tables import GaussianStart, PoseStart
@@ -83,12 +84,17 @@ def anywhere(log: RobotLog, start: Any) -> Any:
     ModelError
         When there is no map to be anywhere on, or the states are no poses.
     """
-    if not isinstance(start, GaussianStart | PoseStart) or start.mean.size != 3:
+    size = start.mean.size if isinstance(start, GaussianStart) else 3
+    if not isinstance(start, GaussianStart | PoseStart | WiderStart) or size < 3:
         raise ModelError(
             f"{log.where}: recovery expects a robot whose start is a pose, but got a start of type "
             f"{type(start).__name__} of the model's own; leave recovery out"
         )
-    return StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf)).bind(log).fixed
+    unknown = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf)).bind(log).fixed
+    assert isinstance(unknown, PoseStart)
+    if isinstance(start, WiderStart):
+        return start._replace(pose=unknown)
+    return unknown if size == 3 else WiderStart(unknown, start.mean[3:].copy(), start.std[3:].copy())
 
 
 def reading_counts(log: LogArrays) -> NDArray[np.int64]:

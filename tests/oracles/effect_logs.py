@@ -76,5 +76,24 @@ def row_densities(tables: Tables, path: np.ndarray) -> np.ndarray:
     return np.array(smc.joint_terms(tables, np.ascontiguousarray(path))[1])
 
 
+def simulated(effect, values, seed, n_steps=500):
+    """A log with the effect in it, from a robot that can show it."""
+    given = {"effects": [(effect, values)], "hide_effects": True}
+    log = log_for(effect)
+    if log.ranges is not None:
+        return simulate_amigobot(float(n_steps), seed, SONAR, **given)
+    if log.landmark_size is not None:
+        return simulate_aibo(float(n_steps), seed, {"sigma_size": 0.1}, **given)
+    view = np.inf if effect.applies(field_log()) else 2.0
+    return simulate_landmark_field(n_steps, seed, FIELD, bearings=True, field_of_view=view, **given)
+
+
+def path_of(log):
+    """The true path, as the kernels want it: headings do not jump by a whole turn."""
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    return path
+
+
 NAMES = [effect.name for effect in CATALOGUE]
 BY_NAME = {effect.name: effect for effect in CATALOGUE}

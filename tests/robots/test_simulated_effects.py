@@ -8,41 +8,22 @@ import numpy as np
 import pytest
 from oracles.effect_logs import (
     BY_NAME,
-    FIELD,
     NAMES,
     SONAR,
     base_tables,
-    field_log,
     instance,
     log_for,
+    path_of,
     row_densities,
+    simulated,
 )
 
 import pmcl
 from pmcl.errors import ModelError
 from pmcl.models.effects.selection import parse_effect
 from pmcl.models.robot_model import default_model
-from pmcl.robots.landmark_field import simulate_landmark_field
 
-ROWS, STANDARD_ERRORS = 500, 5.0
-
-
-def simulated(effect, values, seed, n_steps=ROWS):
-    given = {"effects": [(effect, values)], "hide_effects": True}
-    log = log_for(effect)
-    if log.ranges is not None:
-        return pmcl.simulate_amigobot(float(n_steps), seed, SONAR, **given)
-    if log.landmark_size is not None:
-        return pmcl.simulate_aibo(float(n_steps), seed, {"sigma_size": 0.1}, **given)
-    view = np.inf if effect.applies(field_log()) else 2.0
-    return simulate_landmark_field(n_steps, seed, FIELD, bearings=True, field_of_view=view, **given)
-
-
-def path_of(log):
-    """The true path, as the kernels want it: headings do not jump by a whole turn."""
-    path = np.array(log.true_poses)
-    path[:, 2] = np.unwrap(path[:, 2])
-    return path
+STANDARD_ERRORS = 5.0
 
 
 @pytest.mark.parametrize("name", NAMES)

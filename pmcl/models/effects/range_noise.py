@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.editing import enrich_beams
 from pmcl.models.effects.effect import Effect, Where
@@ -24,7 +25,12 @@ _TRANSITION = 0.05
 
 
 def elapsed(log: RobotLog) -> Float:
-    """Return how much of the log has passed at each row, 0 to 1."""
+    """Return how much of the log has passed at each row, 0 to 1; a robot that is still running cannot know."""
+    if not log.is_whole:
+        raise ModelError(
+            f"{log.where}: expected a whole log for an effect that changes in the course of it, but the robot is still "
+            "running; leave the effect out, or localize afterwards"
+        )
     return np.asarray((log.times - log.times[0]) / (log.times[-1] - log.times[0]))
 
 
