@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.motion import IncrementNoise
@@ -43,6 +45,8 @@ def simulate_amigobot(
     seed: int = 0,
     theta: Mapping[str, float] | None = None,
     *,
+    room: WallMap | None = None,
+    waypoints: ArrayLike | None = None,
     effects: Sequence[Given] = (),
     hide_effects: bool = False,
     where: str = "simulate_amigobot",
@@ -58,6 +62,11 @@ def simulate_amigobot(
     theta : mapping of str to float, optional
         True ``sigma_forward`` [m], ``sigma_left`` [m], ``sigma_turn`` [rad] and ``sigma_range`` [m]. Those that are
         left out are drawn from the gamma priors of the default model.
+    room : WallMap, optional
+        Another room than the paper's L; it needs `waypoints` of its own.
+    waypoints : array_like, shape (K, 2), optional
+        Where to drive, round and round [m], map frame; in a room of the caller's own the robot starts at the last one,
+        heading along the x axis. Keep 0.5 m from walls.
     effects : sequence, optional
         Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
         :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
@@ -76,7 +85,8 @@ def simulate_amigobot(
     Raises
     ------
     ModelError
-        When `duration` or `seed` is not usable, `theta` does not fit the priors, or an effect cannot be simulated.
+        When `duration` or `seed` is not usable, `theta` does not fit the priors, `waypoints` are missing or no points,
+        or an effect cannot be simulated.
 
     Notes
     -----
@@ -93,8 +103,10 @@ def simulate_amigobot(
     rng = make_rng(seed)
     motion, sensor = IncrementNoise(), RangeNoise()
     truth = draw_theta((*motion.parameters, *sensor.parameters), theta, rng)
-    start = _START + _START_STD * rng.standard_normal(3)
-    path, command = drive(start, _driver(), [truth[p.name] for p in motion.parameters], n_steps, rng)
+    walls, points = (room or AMIGOBOT_ROOM), _points(waypoints, room, where)
+    expected = _START if room is None else np.array([*points[-1], 0.0])
+    start = expected + _START_STD * rng.standard_normal(3)
+    path, command = drive(start, _driver(points), [truth[p.name] for p in motion.parameters], n_steps, rng)
 
     def logged(ranges: np.ndarray, affected: Affected | None = None) -> RobotLog:
         told = affected is not None and not hide_effects
@@ -104,8 +116,8 @@ def simulate_amigobot(
             ranges=ranges,
             beam_poses=AMIGOBOT_BEAMS,
             max_range=_MAX_RANGE,
-            walls=AMIGOBOT_ROOM,
-            start_mean=_START,
+            walls=walls,
+            start_mean=expected,
             start_std=_START_STD,
             true_poses=path,
             true_theta=affected.true_theta if affected and told else truth,
@@ -120,10 +132,24 @@ def simulate_amigobot(
     empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
     affected = affected_by(effects, empty, seed, motion, sensor, truth)
     if affected.moves_differently:
-        path, command = affected.drive(empty, start, _driver(), rng)
+        path, command = affected.drive(empty, start, _driver(points), rng)
         empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
     return logged(simulate_readings(affected.tables(empty).sensors[0], path, rng).reading, affected)
 
 
-def _driver() -> WaypointDriver:
-    return WaypointDriver(_WAYPOINTS, step=0.15, turn=0.6, reached=0.2)
+def _points(waypoints: ArrayLike | None, room: WallMap | None, where: str) -> NDArray[np.float64]:
+    if waypoints is None:
+        if room is not None:
+            raise ModelError(f"{where}: expected waypoints for a room of your own, but got none; say where to drive")
+        return _WAYPOINTS
+    points = np.asarray(waypoints, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
+        raise ModelError(
+            f"{where}: expected waypoints as at least two points (x, y) in metres, but got an array of shape "
+            f"{points.shape}; list finite coordinates"
+        )
+    return points
+
+
+def _driver(waypoints: NDArray[np.float64]) -> WaypointDriver:
+    return WaypointDriver(waypoints, step=0.15, turn=0.6, reached=0.2)

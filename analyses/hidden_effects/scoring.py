@@ -1,0 +1,129 @@
+"""What the critic said of a log against what was hidden in it: one row of results.csv for each log."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from logs import Hidden, simulate
+from outside import OUTSIDE
+
+from pmcl.criticism.heldout import gap_of
+from pmcl.errors import PmclError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.predictive import predict_readings
+from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import RobotModel, default_model
+
+__all__ = ["append", "read_results", "scored"]
+
+FORMULA = "formula:"
+PARTICLES = 2000
+
+
+def read_results(path: Path) -> list[dict[str, str]]:
+    """Return the rows that are stored already."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def append(path: Path, row: dict[str, object]) -> None:
+    """Add a row."""
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(row), lineterminator="\n")
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def scored(hidden: Hidden, result: dict) -> dict[str, object]:
+    """Compare one result with the truth."""
+    names = [text.partition("=")[0] for text in hidden.effects]
+    found = [one["name"] for one in result["effects"]]
+    twins = [[twin.split(" (")[0] for twin in one["not_distinguishable_from"]] for one in result["effects"]]
+    sets = [{name, *others} for name, others in zip(found, twins, strict=True)]
+    steps = result["steps"]
+    gaps = [steps[k]["gap"] if steps else {} for k in (0, -1)]
+    alarms = steps[0]["alarms"] if steps else []
+    return {
+        "block": hidden.block,
+        "place": hidden.place,
+        "kind": _kind(hidden, names),
+        "hidden": " + ".join(names),
+        "magnitude": hidden.effects[0].partition("=")[2] if len(names) == 1 else "",
+        "seed": hidden.seed,
+        "version": result["version"],
+        "seconds": f"{result['seconds']:.1f}",
+        "verdict": result["verdict"],
+        "found": " + ".join(found),
+        "twins": " + ".join("/".join(others) for others in twins),
+        "right_name": int(bool(names) and all(name in found for name in names)),
+        "in_the_set": int(bool(names) and all(any(name in one for one in sets) for name in names)),
+        "right_place": _right_place(hidden, names, result["effects"]),
+        "too_many": max(0, len(found) - len(names)),
+        "p_value": min((min(1.0, len(alarms) * alarm["p_value"]) for alarm in alarms), default=""),
+        "score_before": gaps[0].get("log_score_per_reading", ""),
+        "score_after": gaps[1].get("log_score_per_reading", ""),
+        "score_of_truth": _score_of_truth(hidden, names, result),
+        "coverage_before": gaps[0].get("coverage_90", ""),
+        "coverage_after": gaps[1].get("coverage_90", ""),
+        **_sizes(hidden, names, result["effects"]),
+    }
+
+
+def _kind(hidden: Hidden, names: list[str]) -> str:
+    if not names:
+        return "none"
+    if len(names) > 1:
+        return "pair"
+    if names[0] in OUTSIDE:
+        return "outside"
+    return "poor motion" if hidden.place == "circle" else "one"
+
+
+def _right_place(hidden: Hidden, names: list[str], effects: list[dict]) -> object:
+    """Tell whether an effect that has a place was found there; empty when it was not found by its name."""
+    for name, where in zip(names, hidden.where, strict=False):
+        for one in effects:
+            if one["name"] == name and where:
+                return int({k: list(v) for k, v in where.items()} == one["where"])
+    return ""
+
+
+def _score_of_truth(hidden: Hidden, names: list[str], result: dict) -> object:
+    """Return the held-out log score of a reading [nat] under the true model; empty outside the catalogue."""
+    if not names or any(name in OUTSIDE for name in names) or not result["steps"]:
+        return ""
+    log = simulate(hidden.place, hidden.effects, hidden.seed, hide=False)
+    try:
+        base = default_model(log.without_truth())
+        effects = [_placed(name, where, log) for name, where in zip(names, hidden.where, strict=True)]
+        bound = RobotModel(base.motion, base.sensors, base.start, effects=tuple(effects)).bind(log.without_truth())
+        theta = np.array([hidden.values[name] for name in bound.names])
+        rng = make_rng(np.random.SeedSequence((hidden.seed, 9)))
+        seen = predict_readings(bound.tables(theta)[0], log.n_steps, PARTICLES, rng)
+    except (PmclError, KeyError) as error:
+        print(f"no score of the truth for {hidden.effects}: {error}")
+        return ""
+    return gap_of(seen, seen.pit(rng), slice(result["settings"]["split"], None)).log_score_per_reading
+
+
+def _placed(name: str, where: dict, log):
+    place = {key: tuple(values) for key, values in where.items()}
+    return effect_named(name, log, place) if place else effect_named(name, log)
+
+
+def _sizes(hidden: Hidden, names: list[str], effects: list[dict]) -> dict[str, object]:
+    """Return the hidden effect's first parameter, and what was found of it, when it was found by its name."""
+    row: dict[str, object] = {"parameter": "", "truth": "", "mean": "", "sd": ""}
+    if len(names) != 1:
+        return row
+    for one in effects:
+        if one["name"] == names[0]:
+            parameter, estimate = next(iter(one["parameters"].items()))
+            if parameter in hidden.values:
+                row |= {"parameter": parameter, "truth": hidden.values[parameter]}
+                row |= {"mean": estimate["mean"], "sd": estimate["sd"]}
+    return row
