@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,18 @@ from pmcl.filtering.particle_filter import draw_paths, make_rng
 from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.models.robot_model import BoundModel
 
-__all__ = ["Evidence", "gather"]
+__all__ = ["Evidence", "gather", "rescored"]
 
 Float = NDArray[np.float64]
+
+
+class Source(NamedTuple):
+    """What a pass keeps: the model at one theta, trajectories (M, D, T), and what does not depend on candidates."""
+
+    bound: BoundModel
+    theta: Float
+    columns: Float
+    residuals: tuple[tuple[Feature, ...], Float]
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,8 @@ class Evidence:
         What the numbers are about.
     numbers : ndarray, shape (F,)
         Residual and fluctuation features, in the order of `features`.
+    source : Source
+        What other candidates are scored from.
     """
 
     predictions: Predictions
@@ -55,6 +67,7 @@ class Evidence:
     scores: Float
     features: tuple[Feature, ...]
     numbers: Float
+    source: Source
 
 
 def gather(
@@ -101,15 +114,37 @@ def gather(
     path = drawn.mean(axis=0)
     of_rows = row_covariates(log, path)
     of_readings = reading_covariates(tables, path, made.sensor, made.channel, made.time, made.kind)
-    base, scores = base_rows(bound, theta, columns), effect_rows(tables, log, columns, wanted)
     pit = made.pit(rng)
     names, values = residual_features(made, pit, of_readings, of_rows)
+    nothing = np.empty((0, bound.lengths[0]))
+    plain = Evidence(
+        made, pit, path, of_rows, of_readings, base_rows(bound, theta, columns), nothing, (), np.empty(0),
+        Source(bound, theta, columns, (tuple(names), np.asarray(values))),
+    )  # fmt: skip
+    return rescored(plain, wanted)
+
+
+def rescored(known: Evidence, wanted: Sequence[Direction]) -> Evidence:
+    """Score other candidates along the trajectories of a pass that was made already.
+
+    Parameters
+    ----------
+    known : Evidence
+        The pass.
+    wanted : sequence of Direction
+        The candidates.
+
+    Returns
+    -------
+    Evidence
+        The same, but for the scores and the features made from them.
+    """
+    bound, theta, columns, (names, values) = known.source
+    scores = effect_rows(bound.tables(theta)[0], bound.logs[0], columns, wanted)
     ordered = [k for k, one in enumerate(wanted) if not one.one_sided and not one.effect.where]
     labels = [*bound.names, *(_label(wanted[k]) for k in ordered)]
-    more, further = fluctuation_features(labels, np.concatenate([base, scores[ordered]]), of_rows)
-    return Evidence(
-        made, pit, path, of_rows, of_readings, base, scores, (*names, *more), np.concatenate([values, further])
-    )
+    more, further = fluctuation_features(labels, np.concatenate([known.base, scores[ordered]]), known.of_rows)
+    return replace(known, scores=scores, features=(*names, *more), numbers=np.concatenate([values, further]))
 
 
 def _label(direction: Direction) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +22,31 @@ from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, Transport, linearised_at
 
-__all__ = ["Fit", "quick_fit"]
+__all__ = ["BRIEF", "THOROUGH", "Effort", "Fit", "quick_fit"]
 
 Float = NDArray[np.float64]
 
 # Noise far too small for a log makes a filter lose the robot; these factors on the prior mean are tried in turn.
 _START_FACTORS = (1.0, 2.0, 4.0, 0.5)
 _START_PARTICLES = 1000
-_SETTLING = 12
-_ROUNDS = (30, 40, 60)
 _FIRST_PROPOSAL = 0.1
 _GAIN = 0.05
+# A chain whose halves have means further apart than this, in its standard deviations, is still on its way.
+_DRIFT, _CONTINUED = 1.3, 3
+
+
+class Effort(NamedTuple):
+    """Lengths of a short chain: sweeps by Gibbs steps alone, rounds of tuning, draws that are kept; and particles."""
+
+    settling: int
+    rounds: tuple[int, ...]
+    draws: int
+    particles: int
+
+
+THOROUGH = Effort(12, (30, 40, 60), 150, 25)
+BRIEF = Effort(8, (15, 20, 30), 60, 16)
+"""Enough to compare models: an estimate half a standard deviation off costs an eighth of a nat."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +90,7 @@ def quick_fit(
     *,
     theta: Float | None = None,
     path: Float | None = None,
-    draws: int = 150,
-    particles: int = 25,
+    effort: Effort = THOROUGH,
 ) -> Fit:
     """Calibrate a model on one log by a single short chain.
 
@@ -91,10 +105,9 @@ def quick_fit(
     path : ndarray, shape (T, D), optional
         A trajectory to start from; drawn by a filter when left out. Components that the model lacks are left out,
         those that it has besides start at zero.
-    draws : int
-        Draws that are kept, after burn-in.
-    particles : int
-        Particles of each sweep.
+    effort : Effort
+        How long the chain is; while it is still on its way at the end, up to three times as many draws are made and
+        only the last of them kept.
 
     Returns
     -------
@@ -109,20 +122,25 @@ def quick_fit(
     transform = Unconstrained(bound.parameters)
     if theta is None:
         theta = _plausible_start(bound, rng)
+    particles = effort.particles
+    # Parameters without statistics cost a density for each proposal, and transport moves change them as well.
+    metropolis = 2 if bound.effects else 5
     if path is None:
         path = np.zeros((bound.lengths[0], state_dimension(bound)))
         sweep_path(bound.tables(theta)[0], path, len(path), _START_PARTICLES, rng, "smoothing")
-        settings = SweepSettings("smoothing", 10 * particles, 10, 0, 1, 0, _GAIN)
+        settings = SweepSettings("smoothing", 10 * particles, 2 * metropolis, 0, 1, 0, _GAIN)
     else:
         path = _of_size(path, state_dimension(bound))
-        settings = SweepSettings("conditional", particles, 10, 0, 1, 0, _GAIN)
+        settings = SweepSettings("conditional", particles, 2 * metropolis, 0, 1, 0, _GAIN)
     state = _state(bound, theta, path)
     transport: Transport | None = None
     kept: list[ChainState] = []
-    plans = [(_SETTLING, settings)]
-    plans += [(length, SweepSettings("conditional", particles, 5, 6, 1, 0, _GAIN)) for length in _ROUNDS]
-    plans += [(draws, SweepSettings("conditional", particles, 5, 6))]
+    plans = [(effort.settling, settings)]
+    plans += [(n, SweepSettings("conditional", particles, metropolis, 6, 1, 0, _GAIN)) for n in effort.rounds]
+    plans += (1 + _CONTINUED) * [(effort.draws, SweepSettings("conditional", particles, metropolis, 6))]
     for number, (length, settings) in enumerate(plans):
+        if number > len(effort.rounds) + 1 and not _on_its_way(kept):
+            break
         if number:
             transport = _tuned(bound, transform, kept[len(kept) // 3 :], number)
         kept = []
@@ -131,6 +149,12 @@ def quick_fit(
             kept.append(state)
     thetas, paths = np.array([one.theta for one in kept]), np.array([one.path for one in kept])
     return Fit(bound, thetas.mean(axis=0), thetas.std(axis=0), thetas, paths.mean(axis=0), paths.std(axis=0))
+
+
+def _on_its_way(kept: list[ChainState]) -> bool:
+    thetas = np.array([one.theta for one in kept])
+    halves = np.array([half.mean(axis=0) for half in np.array_split(thetas, 2)])
+    return bool((np.abs(halves[0] - halves[1]) > _DRIFT * thetas.std(axis=0)).any())
 
 
 def _plausible_start(bound: BoundModel, rng: np.random.Generator) -> Float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from pmcl.criticism.fit import Fit, quick_fit
+from pmcl.criticism.fit import BRIEF, THOROUGH, Fit, quick_fit
 from pmcl.criticism.heldout import Gain, paired_gain, row_scores
 from pmcl.criticism.scores import Direction, probe_values
 from pmcl.errors import PmclError
@@ -22,7 +22,10 @@ from pmcl.models.rich_tables import uniform
 from pmcl.models.robot_model import BoundModel, RobotModel
 from pmcl.models.tables import Tables
 
-__all__ = ["Trial", "choose", "scan", "shortlist", "trial_of_base", "try_effect"]
+__all__ = [
+    "Trial", "choose", "leaders", "scan", "shortlist", "spare_effects", "thoroughly", "trial_of_base", "try_effect",
+    "worth_it",
+]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
@@ -33,6 +36,8 @@ _MORE_STRUCTURED, _REMARKABLE = 8, 2.5
 # Evidence of 500 particles has a standard deviation of some 8 nats: a scan sees only what is far larger.
 _SCAN_Z, _SCAN_GAIN = 6.0, 30.0
 _START = 0.25
+# Trials that are refitted at length before the choice, and how far behind the first they may be [nat].
+_LEADERS, _BEHIND = 3, 15.0
 # Gains below this are real at best, never worth a parameter [nat]; scores below this are never beyond doubt.
 _PRACTICAL, _CRITICAL = 3.0, 3.0
 
@@ -176,13 +181,32 @@ def try_effect(
         )
         bound = model.bind(log)
         theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
-        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path)
+        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=BRIEF)
         rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
-    gains = [paired_gain(rows, current.rows, part) for part in (slice(0, split), slice(split, None), slice(None))]
-    return Trial(effect, model, fitted, rows, z, *gains)
+    return Trial(effect, model, fitted, rows, z, *_gains(rows, current.rows, split))
+
+
+def leaders(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials between which the choice will be made: brief fits may misjudge them by some nats."""
+    ranked = sorted(trials, key=lambda trial: -trial.merit)
+    return [trial for trial in ranked[:_LEADERS] if trial.merit > max(0.0, ranked[0].merit - _BEHIND)]
+
+
+def thoroughly(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:
+    """Go on with the fit of a trial, and score it anew against the current model; all as for :func:`try_effect`."""
+    bound = trial.model.bind(log)
+    fitted = quick_fit(bound.restricted(split), seed, theta=trial.fit.theta, path=trial.fit.path, effort=THOROUGH)
+    rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
+    gains = _gains(rows, current.rows, split)
+    return replace(trial, fit=fitted, rows=rows, on_fit=gains[0], on_heldout=gains[1], on_all=gains[2])
+
+
+def _gains(new: Float, old: Float, split: int) -> list[Gain]:
+    """Return the gains on the fit part, on the held-out part, and on both."""
+    return [paired_gain(new, old, rows) for rows in (slice(0, split), slice(split, None), slice(None))]
 
 
 def trial_of_base(

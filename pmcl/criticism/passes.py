@@ -6,13 +6,13 @@ import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.criticism.alarms import Judgement, judge
-from pmcl.criticism.evidence import Evidence, gather
+from pmcl.criticism.evidence import Evidence, gather, rescored
 from pmcl.criticism.fit import Fit
 from pmcl.criticism.replicate import replicated_log
 from pmcl.criticism.scores import Direction, directions, fits
@@ -21,7 +21,7 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
-__all__ = ["Settings", "candidate_directions", "criticised", "key_of", "mapped"]
+__all__ = ["Judged", "Settings", "candidate_directions", "criticised", "judged_again", "key_of", "mapped"]
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
@@ -50,9 +50,30 @@ class Settings:
             _logger.info("%s", message)
 
 
+class Judged(NamedTuple):
+    """A log's evidence, what it means, and what it is compared with.
+
+    Attributes
+    ----------
+    evidence : Evidence
+        Of the log.
+    judgement : Judgement
+        Of all rows.
+    z : ndarray, shape (K,)
+        Deviations of the candidates' scores over the rows of the fit part only.
+    null : tuple of Evidence
+        Of the logs that the fitted model simulates.
+    """
+
+    evidence: Evidence
+    judgement: Judgement
+    z: Float
+    null: tuple[Evidence, ...]
+
+
 def criticised(
     log: RobotLog, fit: Fit, wanted: Sequence[Direction], split: int, settings: Settings
-) -> tuple[Evidence, Judgement, Float]:
+) -> Judged:
     """Return what a log tells about a fitted model, what that means, and the scores of the fit part by themselves.
 
     Parameters
@@ -69,10 +90,7 @@ def criticised(
 
     Returns
     -------
-    evidence : Evidence
-    judgement : Judgement
-    z : ndarray, shape (K,)
-        Deviations of the scores over the rows before `split`.
+    Judged
     """
     arguments: dict[str, Any] = {"particles": settings.particles, "paths": settings.paths}
     # One more simulated log for each parameter: those are projected out of every number.
@@ -85,9 +103,22 @@ def criticised(
         bound = fit.bound.model.bind(replicated_log(log, fit.tables, fit.path, rng))
         return gather(bound, fit.theta, wanted, seed=np.random.SeedSequence((settings.seed, 3, k)), **arguments)
 
-    null = mapped(simulated, count, settings.workers)
+    return _judged(found, mapped(simulated, count, settings.workers), wanted, split, settings)
+
+
+def judged_again(before: Judged, wanted: Sequence[Direction], split: int, settings: Settings) -> Judged:
+    """Return the same of other candidates, scored along the trajectories that are there already."""
+    settings.tell(f"scoring {len(wanted)} further directions")
+    logs = [before.evidence, *before.null]
+    found, *null = mapped(lambda k: rescored(logs[k], wanted), len(logs), settings.workers)
+    return _judged(found, null, wanted, split, settings)
+
+
+def _judged(
+    found: Evidence, null: Sequence[Evidence], wanted: Sequence[Direction], split: int, settings: Settings
+) -> Judged:
     on_fit = judge(found, null, wanted, level=settings.level, rows=split)
-    return found, judge(found, null, wanted, level=settings.level), on_fit.z
+    return Judged(found, judge(found, null, wanted, level=settings.level), on_fit.z, tuple(null))
 
 
 def candidate_directions(log: RobotLog, fit: Fit, offered: Sequence[Effect]) -> tuple[Direction, ...]:

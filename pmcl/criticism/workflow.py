@@ -21,8 +21,19 @@ from pmcl.criticism.fit import Fit, quick_fit
 from pmcl.criticism.formulas import formulas
 from pmcl.criticism.guard import particles_that_follow
 from pmcl.criticism.heldout import gap_of
-from pmcl.criticism.naming import Trial, choose, scan, shortlist, spare_effects, trial_of_base, try_effect, worth_it
-from pmcl.criticism.passes import Settings, candidate_directions, criticised, mapped
+from pmcl.criticism.naming import (
+    Trial,
+    choose,
+    leaders,
+    scan,
+    shortlist,
+    spare_effects,
+    thoroughly,
+    trial_of_base,
+    try_effect,
+    worth_it,
+)
+from pmcl.criticism.passes import Settings, candidate_directions, criticised, judged_again, mapped
 from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
 from pmcl.criticism.scores import Direction, directions
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called, sentence_of, verdict_of
@@ -218,8 +229,8 @@ class _Loop:
 
     def _pass(self, fit: Fit) -> Pass:
         self.wanted = candidate_directions(self.log, fit, self.offered)
-        found, judged, self.fit_z = criticised(self.log, fit, self.wanted, self.split, self.settings)
-        return Pass(fit, found, judged)
+        self.judged = criticised(self.log, fit, self.wanted, self.split, self.settings)
+        return Pass(fit, self.judged.evidence, self.judged.judgement)
 
     def _trial_of(self, last: Pass) -> Trial:
         """Fit the model of a pass on the fit part; gaps are always those of held-out data."""
@@ -230,13 +241,14 @@ class _Loop:
 
     def _named(self, last: Pass, current: Trial) -> tuple[Trial | None, list[Trial]]:
         """Return the accepted trial or None, and all trials."""
-        settings, z = self.settings, self.fit_z
+        settings, z = self.settings, self.judged.z
         scanned = scan(current.fit.bound, current.fit.theta, self.wanted, z, settings.seed, settings.particles)
         trials = self._tried(current, shortlist(self.wanted, z, scanned))
-        best, twins = choose(trials)
+        best, _ = choose(trials)
         if best is not None and best.effect is not None and best.effect.absorber:
             trials += self._tried(current, shortlist(self.wanted, z, scanned, more=True))
-            best, twins = choose(trials)
+        trials = self._settled(current, trials)
+        best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
             return None, trials
         self.found.append(found_effect(best, twins, last.judgement, self.wanted))
@@ -245,9 +257,10 @@ class _Loop:
     def _formula(self, last: Pass, current: Trial) -> tuple[Trial | None, list[Trial]]:
         """Look outside the catalogue: return the accepted formula or None, and all trials."""
         wanted: tuple[Direction, ...] = directions(formulas(self.log, last.fit.tables, last.fit.path))
-        _, judged, z = criticised(self.log, last.fit, wanted, self.split, self.settings)
+        _, judged, z, _ = judged_again(self.judged, wanted, self.split, self.settings)
         order = [int(k) for k in np.argsort(-np.abs(z)) if abs(judged.z[k]) > judged.critical_z]
         trials = self._tried(current, [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]])
+        trials = self._settled(current, trials)
         best, _ = choose(trials)
         if best is None or not worth_it(best, judged.critical_z):
             return None, trials
@@ -264,6 +277,17 @@ class _Loop:
             return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles)
 
         return [trial for trial in mapped(one, len(chosen), self.settings.workers) if trial is not None]
+
+    def _settled(self, current: Trial, trials: list[Trial]) -> list[Trial]:
+        """Return the trials, those that lead fitted thoroughly."""
+        first = leaders(trials)
+
+        def one(k: int) -> Trial:
+            seed, particles = self.settings.seed + 100, self.settings.comparing
+            return thoroughly(first[k], current, self.log, self.split, seed=seed, particles=particles)
+
+        new = mapped(one, len(first), self.settings.workers)
+        return [next((n for n, old in zip(new, first, strict=True) if old is trial), trial) for trial in trials]
 
     def _without_spare(self, accepted: Trial) -> Trial:
         """Drop effects that the newest one makes superfluous: an early alias must not stay."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmcl.criticism.fit import quick_fit
+from pmcl.criticism.fit import THOROUGH, quick_fit
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.robots.amigobot import simulate_amigobot
@@ -41,8 +41,8 @@ def test_first_rows_of_a_log_are_the_log_cut_there(log):
     theta = np.array([log.true_theta[name] for name in whole.names])
     path = np.array(log.true_poses)
     path[:, 2] = np.unwrap(path[:, 2])
-    ours = quick_fit(whole.restricted(70), 5, theta=theta, path=path[:70], draws=20)
-    theirs = quick_fit(cut, 5, theta=theta, path=path[:70], draws=20)
+    ours = quick_fit(whole.restricted(70), 5, theta=theta, path=path[:70], effort=THOROUGH._replace(draws=20))
+    theirs = quick_fit(cut, 5, theta=theta, path=path[:70], effort=THOROUGH._replace(draws=20))
     np.testing.assert_allclose(ours.draws, theirs.draws, rtol=1e-9)
     assert whole.lengths == (120,)
 
@@ -64,6 +64,6 @@ def test_a_component_that_the_path_lacks_starts_at_zero():
     theta = np.append([NOISE[name] for name in bound.names[:4]], [0.02, 20.0])
     path = np.array(log.true_poses)
     path[:, 2] = np.unwrap(path[:, 2])
-    found = quick_fit(bound, 1, theta=theta, path=path, draws=20)
+    found = quick_fit(bound, 1, theta=theta, path=path, effort=THOROUGH._replace(draws=20))
     assert found.path.shape == (60, 4)
     assert np.ptp(found.path[:, 3]) > 0.0
