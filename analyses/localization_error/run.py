@@ -42,7 +42,7 @@ TRUTH = {
     },
 }  # fmt: skip
 SIMULATORS = {"amigobot": simulate_amigobot, "aibo": simulate_aibo}
-METHODS = ("prior", "true", "mean", "map", "posterior")
+METHODS = ("prior", "true", "measured", "mean", "map", "posterior")
 TRAINING_SEED, TEST_SEED, SAMPLING_SEED, FILTER_SEED = 100, 200_000, 300, 400_000
 # Mean distance [m] and heading error [rad] of a run from the reference, and its mean log score of a row [nat].
 COLUMNS = ("calibration", "trajectory", "method", "run", "lost", "position", "heading", "score")
@@ -108,6 +108,42 @@ def test_logs(robot: str, calibration: int, sizes: Sizes) -> Iterator[tuple[int,
         yield number, SIMULATORS[robot](sizes.test, TEST_SEED + 1000 * calibration + number, TRUTH[robot])
 
 
+def errors_about_reference(log: RobotLog) -> dict[str, np.ndarray]:
+    """Return the errors of increments, shape (T - 1,), and of sightings, shape (T, J), about motion capture."""
+    poses, landmarks = log.true_poses, log.landmarks.positions
+    step = np.diff(poses, axis=0)
+    cos, sin = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
+    forward, left = cos * step[:, 0] + sin * step[:, 1], cos * step[:, 1] - sin * step[:, 0]
+    motion = np.column_stack([forward, left, step[:, 2]]) - log.odometry[1:]
+    way = landmarks - poses[:, None, :2]
+    bearing = log.landmark_bearing - np.arctan2(way[..., 1], way[..., 0]) + poses[:, 2:]
+    return {
+        "sigma_forward": motion[:, 0],
+        "sigma_left": motion[:, 1],
+        "sigma_turn": wrapped(motion[:, 2]),
+        "sigma_landmark_range": log.landmark_range - np.hypot(way[..., 0], way[..., 1]),
+        "sigma_bearing": wrapped(bearing),
+    }
+
+
+def measured(log: RobotLog) -> dict[str, float]:
+    """Return the noise that someone with motion capture would measure: root mean squares about the reference."""
+    errors = errors_about_reference(log)
+    return {name: float(np.sqrt(np.nanmean(np.square(error)))) for name, error in errors.items()}
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """Return angles [rad] between -pi and pi."""
+    return np.arctan2(np.sin(angle), np.cos(angle))
+
+
+def given_theta(robot: str, calibration: int, sizes: Sizes) -> dict[str, dict[str, float]]:
+    """Return parameters that do not come from calibration: a simulated robot has true ones, a real one none."""
+    if robot in TRUTH:
+        return {"true": TRUTH[robot]}
+    return {"measured": measured(training_log(robot, calibration, sizes))} if robot == "mrclam" else {}
+
+
 def model_for(robot: str, log: RobotLog) -> pmcl.RobotModel:
     """Return the usual model of a log, with outliers when asked for."""
     return default_model(log, outliers=robot.endswith("_outliers"))
@@ -155,18 +191,19 @@ def localize(robot: str, calibration: int, path: Path, draws: Path, sizes: Sizes
     if path.exists():
         with path.open(newline="") as file:
             done = {(row["calibration"], row["trajectory"], row["method"]) for row in csv.DictReader(file)}
-    data = posterior_from(draws)
+    data, given = posterior_from(draws), given_theta(robot, calibration, sizes)
     begin = time.process_time()
     for number, log in test_logs(robot, calibration, sizes):
         for method in METHODS:
-            if (str(calibration), str(number), method) in done or (method == "true" and robot not in TRUTH):
+            unknown = method in ("true", "measured") and method not in given
+            if unknown or (str(calibration), str(number), method) in done:
                 continue
             runs = localize_many(
                 log,
                 model_for(robot, log),
                 posterior=data,
-                method="mean" if method == "true" else method,
-                theta=TRUTH[robot] if method == "true" else None,
+                method="mean" if method in given else method,
+                theta=given.get(method),
                 repetitions=sizes.repetitions,
                 particles=sizes.particles,
                 # The same for all methods.

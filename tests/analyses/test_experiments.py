@@ -113,15 +113,45 @@ def test_a_filter_of_few_particles_does_better_with_inflated_noise(small):
     assert evidence[400, 1.0] > evidence[400, 4.0] + 100.0
 
 
+def localization_errors(path):
+    """Mean of each column for each method; no filter run may have lost the robot."""
+    rows = read(path)
+    assert all(row["lost"] == "0" for row in rows)
+    means = {}
+    for name in ("position", "heading", "score"):
+        values = {}
+        for row in rows:
+            values.setdefault(row["method"], []).append(float(row[name]))
+        means[name] = {method: np.mean(numbers) for method, numbers in values.items()}
+    return means
+
+
 @pytest.mark.slow
 def test_calibrated_parameters_localize_nearly_as_well_as_true_ones(small):
-    folder = small("localization_error", "amigobot")
-    errors = {}
-    for row in read(folder / "errors_amigobot.csv"):
-        assert row["lost"] == "0"
-        errors.setdefault(row["method"], []).append(float(row["position"]))
-    mean = {method: np.mean(values) for method, values in errors.items()}
+    mean = localization_errors(small("localization_error", "amigobot") / "errors_amigobot.csv")["position"]
     assert set(mean) == {"prior", "true", "mean", "map", "posterior"}
     assert mean["prior"] > 1.2 * mean["true"]
     for method in ("mean", "posterior"):
         assert abs(mean[method] / mean["true"] - 1.0) < 0.1
+
+
+@pytest.mark.slow
+def test_a_calibrated_aibo_predicts_better_than_its_prior(small):
+    errors = localization_errors(small("localization_error", "aibo") / "errors_aibo.csv")
+    assert set(errors["score"]) == {"prior", "true", "mean", "map", "posterior"}
+    for method in ("true", "mean", "posterior"):
+        assert errors["score"][method] > errors["score"]["prior"]
+        # A minute of walking leaves wide posteriors.
+        assert errors["position"][method] < 1.2 * errors["position"]["true"]
+    assert errors["heading"]["prior"] > 1.3 * errors["heading"]["true"]
+
+
+@pytest.mark.slow
+def test_a_recorded_robot_has_measured_noise_instead_of_true_noise(small, shared_data):
+    errors = localization_errors(small("localization_error", "mrclam") / "errors_mrclam.csv")
+    assert set(errors["score"]) == {"prior", "measured", "mean", "map", "posterior"}
+    assert max(errors["position"].values()) < 0.5
+    # The noise found in a minute takes lasting errors for motion, and is surprised by later ones.
+    assert errors["score"]["measured"] > errors["score"]["mean"]
+    with_outliers = localization_errors(small("localization_error", "mrclam_outliers") / "errors_mrclam_outliers.csv")
+    assert set(with_outliers["score"]) == {"prior", "mean", "map", "posterior"}
