@@ -147,9 +147,11 @@ def test_a_model_with_the_effect_is_an_ordinary_model(case, tmp_path):
     assert bound.names[-len(names) :] == names
     theta = np.concatenate([true_values(log), effect.magnitude("clear")])
     expected = row_densities(effect.edit(tables, effect.magnitude("clear"), log), path)
-    np.testing.assert_array_equal(row_densities(bound.tables(theta)[0], path[:, :3]), expected)
+    # A model is all rich where one of its tables is: the same densities, not always to the last bit.
+    made = row_densities(bound.tables(theta)[0], path[:, :3])
+    np.testing.assert_allclose(made, expected, rtol=1e-11)
     np.testing.assert_array_equal(
-        row_densities(pickle.loads(pickle.dumps(bound)).tables(theta)[0], path[:, :3]), expected
+        row_densities(pickle.loads(pickle.dumps(bound)).tables(theta)[0], path[:, :3]), made
     )
     back = model_of_text(model_text(model, log), log)
     assert [(e.name, e.where) for e in back.effects] == [(effect.name, effect.where)]
