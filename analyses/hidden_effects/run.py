@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from logs import ALIKE, Hidden, make, sealed, wanted
 from outside import OUTSIDE
-from scoring import append, read_results, scored
+from scoring import FORMULA, append, read_results, scored
 
 import pmcl
 from pmcl.criticism.workflow import criticize
@@ -120,7 +120,8 @@ def sum_up(results: Path) -> None:
     for row in rows:
         found = row["verdict"] in ("explained", "unknown effect")
         named, in_set = row["right_name"] == "1", row["in_the_set"] == "1"
-        wrong = row["verdict"] == "explained" and not in_set
+        named_formula = row["found"].startswith(FORMULA)
+        wrong = row["verdict"] == "explained" and not in_set and not named_formula
         tally.setdefault(f"{row['kind']} {row['magnitude']}".strip(), []).append((found, named, in_set, wrong))
         print(
             f"{row['place']:6} {row['hidden'] or '-':42} {row['magnitude']:12} {row['verdict']:17} "

@@ -14,7 +14,7 @@ from pmcl.filtering.predictive import predict_readings
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
 
-__all__ = ["append", "read_results", "scored"]
+__all__ = ["FORMULA", "append", "read_results", "scored"]
 
 FORMULA = "formula:"
 PARTICLES = 2000
