@@ -519,3 +519,18 @@ def test_single_channels_of_sightings_add_up_and_know_their_distribution(changes
         density.append(np.exp(draft[0]))
     inner = integrate.cumulative_trapezoid(np.array(density), edges, axis=0, initial=0.0)
     np.testing.assert_allclose(np.array(low), inner, atol=2e-3)
+    # Bearings: the same within the turn around what each state expects; where the next turn begins, it starts anew.
+    k = int(np.flatnonzero(~np.isnan(seen.bearing[seen.first[t] : seen.first[t + 1]]))[0] + seen.first[t])
+    edges, low, density = np.linspace(-math.pi, math.pi, 2001), [], []
+    for z in edges:
+        values = seen.bearing.copy()
+        values[k] = z
+        table = seen._replace(bearing=values, range=np.where(np.arange(values.size) == k, np.nan, seen.range))
+        compiled_one(table, t, 3 * k + 1, previous, current, *draft, memory, scratch_for(seen, n))
+        low.append(draft[1].copy())
+        density.append(np.exp(draft[0]))
+    rise, density = np.diff(low, axis=0), np.array(density)
+    assert ((rise < -1e-3).sum(axis=0) <= 4).all()
+    rise = np.where(rise < -1e-3, np.nan, rise) / (edges[1] - edges[0])
+    between = np.isnan(rise)
+    np.testing.assert_allclose(rise[~between], (0.5 * (density[1:] + density[:-1]))[~between], atol=2e-2)
