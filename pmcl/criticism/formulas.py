@@ -74,7 +74,7 @@ _ON_ROWS = (
 )
 
 
-def formulas(log: RobotLog, tables: Tables, path: Float) -> tuple[Effect, ...]:
+def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = True) -> tuple[Effect, ...]:
     """Return the feature library for a log, as effects.
 
     Parameters
@@ -85,11 +85,14 @@ def formulas(log: RobotLog, tables: Tables, path: Float) -> tuple[Effect, ...]:
         Of the fitted model; its motion must be by increments.
     path : ndarray, shape (T, D)
         The path that the log tells of: features of place and heading are taken from it.
+    of_noise : bool
+        Whether formulas of standard deviations are among them, or of what is expected only.
     """
     if not hasattr(tables.motion, "mean") or path.shape[1] < 3:
         return ()
     rows = _row_features(log, path)
-    made = [_formula(carrier, name, feature) for carrier in _ON_ROWS for name, feature in rows.items()]
+    carriers = _ON_ROWS if of_noise else _ON_ROWS[:2]
+    made = [_formula(carrier, name, feature) for carrier in carriers for name, feature in rows.items()]
     cells = _cell_features(path)
     made += [_formula(carrier, name, feature) for carrier in _ON_ROWS[:2] for name, feature in cells.items()]
     for sensor in tables.sensors:
@@ -117,7 +120,7 @@ def _formula(carrier: _Carrier, name: str, feature: Float) -> Effect | None:
     parameter = "formula_" + "_".join(part for part in plain.split("_") if part)
     return Effect(
         name=f"{PREFIX}{carrier.text}c*{name}",
-        summary=f"{carrier.text.split()[0]} depends on {name}",
+        summary=f"{carrier.text.removeprefix('log ').split()[0]} depends on {name}",
         parameters=(Parameter(parameter, carrier.unit, stats.norm(scale=_PRIOR_WIDTH * clear), "coefficient"),),
         null=(0.0,),
         change=change,

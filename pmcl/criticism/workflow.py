@@ -51,6 +51,8 @@ __all__ = ["criticize"]
 _LEAST_ROWS, _LEAST_READINGS = 60, 20
 _FIT_SHARE = 0.6
 _FORMULAS = 4
+# Formulas compete with an absorber when their score comes this near to its own.
+_NEARLY = 0.8
 
 
 def criticize(
@@ -189,8 +191,10 @@ class _Loop:
             current = current or self._trial_of(last)
             accepted, trials = self._named(last, current)
             if accepted is None and last.judgement.p_value <= WORTH_A_FORMULA:
-                accepted, more = self._formula(last, current)
+                accepted, known, more = self._formula(last, current)
                 trials += more
+                if accepted is not None:
+                    self.found.append(known)
             if accepted is None:
                 self._record(last, current, trials, "nothing known explains it")
                 break
@@ -251,21 +255,37 @@ class _Loop:
         best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
             return None, trials
-        self.found.append(found_effect(best, twins, last.judgement, self.wanted))
+        found = found_effect(best, twins, last.judgement, self.wanted)
+        if best.effect is not None and best.effect.absorber:
+            # What looks like noise with a memory may follow a rule that the catalogue does not hold.
+            ruled, known, more = self._formula(last, current, of_noise=False, beyond=_NEARLY * abs(best.z))
+            trials += more
+            if ruled is not None and ruled.merit > best.merit:
+                best, found = ruled, known
+        self.found.append(found)
         return best, trials
 
-    def _formula(self, last: Pass, current: Trial) -> tuple[Trial | None, list[Trial]]:
-        """Look outside the catalogue: return the accepted formula or None, and all trials."""
-        wanted: tuple[Direction, ...] = directions(formulas(self.log, last.fit.tables, last.fit.path))
+    def _formula(
+        self, last: Pass, current: Trial, of_noise: bool = True, beyond: float = 0.0
+    ) -> tuple[Trial | None, FoundEffect, list[Trial]]:
+        """Look outside the catalogue: return the accepted formula or None, what is known of it, and all trials.
+
+        Only formulas whose score is remarkable, and `beyond` a value, are tried.
+        """
+        nothing = FoundEffect("", "", {}, {}, 1.0, 0.0, 0.0)
+        offered = formulas(self.log, last.fit.tables, last.fit.path, of_noise=of_noise)
+        wanted: tuple[Direction, ...] = directions(offered)
+        if not wanted:
+            return None, nothing, []
         _, judged, z, _ = judged_again(self.judged, wanted, self.split, self.settings)
-        order = [int(k) for k in np.argsort(-np.abs(z)) if abs(judged.z[k]) > judged.critical_z]
+        least = max(judged.critical_z, beyond)
+        order = [int(k) for k in np.argsort(-np.abs(z)) if abs(judged.z[k]) > least]
         trials = self._tried(current, [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]])
         trials = self._settled(current, trials)
         best, _ = choose(trials)
         if best is None or not worth_it(best, judged.critical_z):
-            return None, trials
-        self.found.append(found_effect(best, (), judged, wanted))
-        return best, trials
+            return None, nothing, trials
+        return best, found_effect(best, (), judged, wanted), trials
 
     def _tried(self, current: Trial, chosen: list[tuple[Effect, float]]) -> list[Trial]:
         if chosen:

@@ -183,7 +183,7 @@ class RichRangeBeams(NamedTuple):
 
 
 class RichLandmarks(NamedTuple):
-    """Sightings that may be late, of the wrong landmark, or noisier near or far.
+    """Sightings that may be late, of the wrong landmark, noisier near or far, or wrong as they were just before.
 
     Attributes
     ----------
@@ -200,6 +200,10 @@ class RichLandmarks(NamedTuple):
         Distances are read as ``d * (1 - depth + depth * cos(bearing))``: 1 is the depth along the optical axis.
     misread_weight : ndarray, shape (J,)
         Probability that a sighting said to be of this landmark is of another one, each alike.
+    range_correlation, bearing_correlation : ndarray, shape (J,)
+        Correlation of the residual of a distance, or bearing, with that of the same landmark in the row before.
+        Unrelated where that was not measured, off by more than four standard deviations, or where the sighting now
+        is of another landmark or a gross error. Sizes have no memory.
     """
 
     first: Int
@@ -224,6 +228,8 @@ class RichLandmarks(NamedTuple):
     bearing_falloff: Float
     depth: float
     misread_weight: Float
+    range_correlation: Float
+    bearing_correlation: Float
 
 
 def rich_motion(motion: IncrementMotion | RichMotion | WanderingMotion) -> RichMotion | WanderingMotion:
@@ -290,10 +296,16 @@ def rich_landmarks(seen: LandmarkSightings | RichLandmarks) -> RichLandmarks:
     """Return a table of sightings with room for effects; one that has it already comes back as it is."""
     if isinstance(seen, RichLandmarks):
         return seen
-    nothing = np.zeros((3, seen.position.shape[0]))
-    lag = np.zeros(seen.first.size - 1)
+    nothing = np.zeros((5, seen.position.shape[0]))
     return RichLandmarks(
-        *seen, lag=lag, range_growth=nothing[0], bearing_falloff=nothing[1], depth=0.0, misread_weight=nothing[2]
+        *seen,
+        lag=np.zeros(seen.first.size - 1),
+        range_growth=nothing[0],
+        bearing_falloff=nothing[1],
+        depth=0.0,
+        misread_weight=nothing[2],
+        range_correlation=nothing[3],
+        bearing_correlation=nothing[4],
     )
 
 

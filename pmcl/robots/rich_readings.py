@@ -168,19 +168,12 @@ def draw_sighting_readings(table: RichLandmarks, path: Float, rng: np.random.Gen
         misread = rng.random(n) < table.misread_weight[named]
         another = (named + rng.integers(1, n_landmarks, n)) % n_landmarks
         which = np.where(misread, another, named)
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    delta = table.position[which] - poses[:, :2]
-    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
-    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
-    distance, bearing = np.hypot(ahead, aside), np.arctan2(aside, ahead) - table.sensor_pose[2]
+    centre, std, distance = _expected_sightings(table, which, poses)
     noise = rng.standard_normal((3, n))
-    told = distance * (1.0 - table.depth + table.depth * np.cos(bearing))
-    range_std = table.range_std[which] * (1.0 + table.range_growth[which] * distance)
-    bearing_std = table.bearing_std[which] * (1.0 + table.bearing_falloff[which] / np.maximum(distance, 0.1))
     ideal_size = table.size_constant[which] / distance**2
     sound = (
-        table.range_scale[which] * told + table.range_bias[which] + range_std * noise[0],
-        wrap(bearing + table.bearing_bias[which] + bearing_std * noise[1]),
+        centre[0] + std[0] * noise[0],
+        wrap(centre[1] + std[1] * noise[1]),
         ideal_size * (1.0 + table.size_std[which] * noise[2]),
     )
     wild = (
@@ -193,4 +186,50 @@ def draw_sighting_readings(table: RichLandmarks, path: Float, rng: np.random.Gen
         np.where(np.isnan(seen), np.nan, np.where(gross, strange, plain))
         for seen, strange, plain in zip((table.range, table.bearing, table.size), wild, sound, strict=True)
     ]
+    before, spread, _ = _expected_sightings(table, named, _late(path, np.zeros(len(path)))[table.time])
+    plain = (which == named) & ~gross
+    for channel, correlation in enumerate((table.range_correlation, table.bearing_correlation)):
+        if correlation.any():
+            c = correlation[named]
+            _remember(table, new[channel], channel == 1, c, plain, centre[channel], std[channel] * noise[channel],
+                      before[channel], spread[channel])
     return table._replace(range=new[0], bearing=new[1], size=new[2])
+
+
+def _expected_sightings(table: RichLandmarks, which: Any, poses: Float) -> tuple[Float, Float, Float]:
+    """Return centre and standard deviation (2, N) of distances and bearings of landmarks `which`; true distances."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    delta = table.position[which] - poses[:, :2]
+    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
+    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
+    distance, bearing = np.hypot(ahead, aside), np.arctan2(aside, ahead) - table.sensor_pose[2]
+    told = distance * (1.0 - table.depth + table.depth * np.cos(bearing))
+    centre = [table.range_scale[which] * told + table.range_bias[which], bearing + table.bearing_bias[which]]
+    std = [
+        table.range_std[which] * (1.0 + table.range_growth[which] * distance),
+        table.bearing_std[which] * (1.0 + table.bearing_falloff[which] / np.maximum(distance, 0.1)),
+    ]
+    return np.array(centre), np.array(std), distance
+
+
+def _remember(
+    table: RichLandmarks, reading: Float, is_angle: bool, correlation: Float, plain: Any, centre: Float, error: Float,
+    before: Float, spread: Float,
+) -> None:
+    """Redraw, one after another and in place, readings whose landmark was read in the row before.
+
+    `centre` and `error` are what was drawn without memory; `before` and `spread` what the state of its own row, not
+    late, would have let one expect of each reading.
+    """
+    last: dict[tuple[int, int], int] = {}
+    for k, where in enumerate(zip(table.time.tolist(), table.landmark.tolist(), strict=True)):
+        earlier = last.get((where[0] - 1, where[1]))
+        last[where] = k
+        if earlier is None or not plain[k]:
+            continue
+        residual = reading[earlier] - before[earlier]
+        residual = wrap(residual) if is_angle else residual
+        if not abs(residual) < 4.0 * spread[earlier] or np.isnan(reading[k]):
+            continue
+        drawn = centre[k] + correlation[k] * residual + np.sqrt(1.0 - correlation[k] ** 2) * error[k]
+        reading[k] = wrap(drawn) if is_angle else drawn

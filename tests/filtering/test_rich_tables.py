@@ -386,8 +386,41 @@ def rich_sightings(n_steps, rng, **changes):
         "bearing_falloff": rng.uniform(0.0, 2.0, 4),
         "depth": 0.6,
         "misread_weight": np.array([0.0, 0.2, 0.5, 0.1]),
+        "range_correlation": np.array([0.0, 0.7, 0.3, 0.9]),
+        "bearing_correlation": np.array([0.5, 0.6, 0.0, 0.9]),
     }
     return seen._replace(**{**full, **changes})
+
+
+def same_landmarks_again(seen):
+    """Sightings of which many are of landmarks that the row before saw as well; the first row reads everything."""
+    channels = {"range": seen.range.copy(), "bearing": seen.bearing.copy()}
+    for values in channels.values():
+        values[:2] = np.where(np.isnan(values[:2]), 1.5, values[:2])
+    return seen._replace(landmark=np.resize([1, 3, 3, 1, 0], seen.landmark.size).astype(np.int64), **channels)
+
+
+def wrapped(angle):
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def errors_before(seen, t, named, before):
+    """Residual and standard deviation of distance and bearing of a landmark in the row before t; NaN: unrelated."""
+    error, spread = np.full(2, math.nan), np.ones(2)
+    c, s = math.cos(before[2]), math.sin(before[2])
+    for k in range(seen.first[max(t - 1, 0)], seen.first[t]):
+        if seen.landmark[k] != named:
+            continue
+        delta = seen.position[named] - before[:2]
+        ahead = c * delta[0] + s * delta[1] - seen.sensor_pose[0]
+        aside = c * delta[1] - s * delta[0] - seen.sensor_pose[1]
+        distance, bearing = math.hypot(ahead, aside), math.atan2(aside, ahead) - seen.sensor_pose[2]
+        told = distance * (1.0 - seen.depth + seen.depth * math.cos(bearing))
+        error[0] = seen.range[k] - seen.range_scale[named] * told - seen.range_bias[named]
+        error[1] = wrapped(seen.bearing[k] - bearing - seen.bearing_bias[named])
+        spread[0] = seen.range_std[named] * (1.0 + seen.range_growth[named] * distance)
+        spread[1] = seen.bearing_std[named] * (1.0 + seen.bearing_falloff[named] / max(distance, 0.1))
+    return np.where(np.abs(error) < 4.0 * spread, error, math.nan)
 
 
 def sighting_density(seen, t, before, now):
@@ -397,6 +430,10 @@ def sighting_density(seen, t, before, now):
     total = 0.0
     for k in range(seen.first[t], seen.first[t + 1]):
         named = seen.landmark[k]
+        error = errors_before(seen, t, named, before)
+        known = ~np.isnan(error)
+        last = np.where(known, [seen.range_correlation[named], seen.bearing_correlation[named]], 0.0)
+        shift, narrower = np.where(known, last * np.nan_to_num(error), 0.0), np.sqrt(1.0 - last**2)
         hypotheses, outlier = [], 0.0
         for j in range(len(seen.position)):
             delta = seen.position[j] - pose[:2]
@@ -404,19 +441,18 @@ def sighting_density(seen, t, before, now):
             aside = c * delta[1] - s * delta[0] - seen.sensor_pose[1]
             distance, bearing = math.hypot(ahead, aside), math.atan2(aside, ahead) - seen.sensor_pose[2]
             value = outlier = 0.0
+            # Another landmark has no memory of this one's errors.
+            by, share = (shift, narrower) if j == named else (np.zeros(2), np.ones(2))
             if not math.isnan(seen.range[k]):
                 told = distance * (1.0 - seen.depth + seen.depth * math.cos(bearing))
                 expected = seen.range_scale[j] * told + seen.range_bias[j]
-                value += stats.norm.logpdf(
-                    seen.range[k], expected, seen.range_std[j] * (1.0 + seen.range_growth[j] * distance)
-                )
+                std = seen.range_std[j] * (1.0 + seen.range_growth[j] * distance)
+                value += stats.norm.logpdf(seen.range[k], expected + by[0], share[0] * std)
                 outlier -= math.log(seen.max_range)
             if not math.isnan(seen.bearing[k]):
-                residual = seen.bearing[k] - bearing - seen.bearing_bias[j]
-                residual = (residual + math.pi) % (2.0 * math.pi) - math.pi
-                value += stats.norm.logpdf(
-                    residual, 0.0, seen.bearing_std[j] * (1.0 + seen.bearing_falloff[j] / max(distance, 0.1))
-                )
+                residual = wrapped(wrapped(seen.bearing[k] - bearing - seen.bearing_bias[j]) - by[1])
+                std = seen.bearing_std[j] * (1.0 + seen.bearing_falloff[j] / max(distance, 0.1))
+                value += stats.norm.logpdf(residual, 0.0, share[1] * std)
                 outlier -= math.log(2.0 * math.pi)
             if not math.isnan(seen.size[k]):
                 ideal = seen.size_constant[j] / distance**2
@@ -434,8 +470,11 @@ def sighting_density(seen, t, before, now):
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_sightings_have_the_density_of_their_definition(compiled, rng):
-    path = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (6, 3))
-    seen = rich_sightings(6, rng)
+    n_steps = 6
+    path = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (n_steps, 3))
+    seen = same_landmarks_again(rich_sightings(n_steps, rng))
+    related = [~np.isnan(errors_before(seen, t, j, path[t - 1])) for t in range(1, n_steps) for j in range(4)]
+    assert np.any(related, axis=0).all()
     expected = [sighting_density(seen, t, path[max(t - 1, 0)], path[t]) for t in range(6)]
     if compiled:
         np.testing.assert_allclose(along(seen, path), expected, rtol=1e-8)
@@ -451,6 +490,8 @@ def test_sightings_at_their_nulls_are_plain(rng):
     path = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (6, 3))
     seen = made_tables.sightings(6, rng)
     np.testing.assert_allclose(along(rich_landmarks(seen), path), along(seen, path), rtol=1e-9)
+    assert not contract.looks_back(rich_landmarks(seen))
+    assert contract.looks_back(rich_landmarks(seen)._replace(bearing_correlation=np.array([0.0, 0.0, 0.0, 0.5])))
 
 
 @pytest.mark.parametrize("changes", [{}, {"misread_weight": np.zeros(4)}])
@@ -458,7 +499,7 @@ def test_single_channels_of_sightings_add_up_and_know_their_distribution(changes
     n, t = 5, 1
     current = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (n, 3)).T.copy()
     previous = current + 0.1 * rng.standard_normal(current.shape)
-    seen = rich_sightings(6, rng, **changes)
+    seen = same_landmarks_again(rich_sightings(6, rng, **changes))
     draft, memory = np.zeros((3, n)), np.zeros((3, n))
     whole, added = np.zeros(n), np.zeros(n)
     compiled_readings(seen, t, previous, current, whole, scratch_for(seen, n))
@@ -478,3 +519,18 @@ def test_single_channels_of_sightings_add_up_and_know_their_distribution(changes
         density.append(np.exp(draft[0]))
     inner = integrate.cumulative_trapezoid(np.array(density), edges, axis=0, initial=0.0)
     np.testing.assert_allclose(np.array(low), inner, atol=2e-3)
+    # Bearings: the same within the turn around what each state expects; where the next turn begins, it starts anew.
+    k = int(np.flatnonzero(~np.isnan(seen.bearing[seen.first[t] : seen.first[t + 1]]))[0] + seen.first[t])
+    edges, low, density = np.linspace(-math.pi, math.pi, 2001), [], []
+    for z in edges:
+        values = seen.bearing.copy()
+        values[k] = z
+        table = seen._replace(bearing=values, range=np.where(np.arange(values.size) == k, np.nan, seen.range))
+        compiled_one(table, t, 3 * k + 1, previous, current, *draft, memory, scratch_for(seen, n))
+        low.append(draft[1].copy())
+        density.append(np.exp(draft[0]))
+    rise, density = np.diff(low, axis=0), np.array(density)
+    assert ((rise < -1e-3).sum(axis=0) <= 4).all()
+    rise = np.where(rise < -1e-3, np.nan, rise) / (edges[1] - edges[0])
+    between = np.isnan(rise)
+    np.testing.assert_allclose(rise[~between], (0.5 * (density[1:] + density[:-1]))[~between], atol=2e-2)

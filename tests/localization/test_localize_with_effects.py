@@ -13,8 +13,9 @@ from pmcl.localization.online import OnlineLocalizer
 from pmcl.localization.options import FilterOptions
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel
-from pmcl.models.sensors import RangeNoise
+from pmcl.models.sensors import LandmarkNoise, RangeNoise
 from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.robots.landmark_field import simulate_landmark_field
 
 # A wandering turn rate is a fourth state; correlated readings look back at the reading before.
 RICH = ("turn-noise-correlated", "range-noise-correlated", "wheel-slip")
@@ -51,6 +52,22 @@ def test_online_is_offline_with_states_and_readings_that_look_back(rich, method)
         assert estimate.log_score == track.log_score[t]
     assert robot.particles[0].shape == (4, 80)
     assert track.pose_mean.shape == (30, 3)
+
+
+def test_online_is_offline_with_landmarks_whose_errors_last():
+    log = simulate_landmark_field(30, 2, bearings=True, reach=9.0, effects=["landmark-noise-correlated=0.8,0.6"])
+    model = RobotModel(sensors=(LandmarkNoise(bearing=True),), effects=(effect_named("landmark-noise-correlated"),))
+    settings = {"theta": log.true_theta, "particles": 80, "seed": 2}
+    robot = OnlineLocalizer(log, model, memory=3, **settings)
+    track = pmcl.localize(log, model, **settings)
+    for t in range(log.n_steps):
+        readings = {"landmark_range": log.landmark_range[t], "landmark_bearing": log.landmark_bearing[t]}
+        estimate = robot.update(log.times[t], log.odometry[t], **readings)
+        np.testing.assert_array_equal(estimate.mean, track.pose_mean[t])
+        assert estimate.log_score == track.log_score[t]
+    base = {name: value for name, value in log.true_theta.items() if name.startswith("sigma_")}
+    plain = pmcl.localize(log, RobotModel(sensors=model.sensors), theta=base, particles=80, seed=2)
+    assert track.log_score.sum() > plain.log_score.sum() + 10.0
 
 
 def test_a_robot_with_more_states_is_found_anywhere_and_again(rich):

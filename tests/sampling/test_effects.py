@@ -36,7 +36,7 @@ KINDS = [
     "range-bias-drifts",
     "short-readings", "range-noise-correlated", "sensor-latency", "turn-noise-correlated", "slippery-patch",
     "beam-width", "heavy-tailed-motion-noise", "unmapped-obstacle", "landmark-moved", "landmark-misread",
-    "bearing-bias", "range-is-depth", "landmark-range-noise-grows-with-range",
+    "bearing-bias", "range-is-depth", "landmark-range-noise-grows-with-range", "landmark-noise-correlated",
 ]  # fmt: skip
 
 

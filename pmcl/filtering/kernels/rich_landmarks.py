@@ -1,4 +1,4 @@
-"""Kernels of :class:`~pmcl.models.rich_tables.RichLandmarks`: sightings late, misread, or unevenly noisy."""
+"""Kernels of :class:`~pmcl.models.rich_tables.RichLandmarks`: sightings late, misread, unevenly noisy, or related."""
 
 from __future__ import annotations
 
@@ -21,13 +21,17 @@ from pmcl.models.rich_tables import RichLandmarks
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _POSE, _SINE, _COSINE, _AHEAD, _ASIDE, _DISTANCE, _ANGLE, _TARGET, _OTHERS, _DRAFT = 0, 3, 4, 5, 6, 7, 8, 9, 10, 11
+# The same rows for the state before, after those of the state now.
+_BEFORE = 12
+# How far off, in standard deviations, a reading may have been and still say something about the next one.
+_RELATED = 4.0
 # Nearer landmarks count as this far for the noise of their bearing [m].
 _NEAREST = 0.1
 
 
 @scratch_rows.register(RichLandmarks, allocates=False)
 def _scratch_rows(table):
-    return 12
+    return _BEFORE + _ANGLE + 1
 
 
 @looks_back.register(RichLandmarks, allocates=False)
@@ -35,6 +39,8 @@ def _looks_back(sensor):
     found = False
     for t in range(sensor.lag.size):
         found |= sensor.lag[t] != 0.0
+    for j in range(sensor.position.shape[0]):
+        found |= sensor.range_correlation[j] != 0.0 or sensor.bearing_correlation[j] != 0.0
     return found
 
 
@@ -57,9 +63,9 @@ def _log_outlier(sensor, k, j):
 
 
 @kernel
-def _place(sensor, t, previous, current, scratch):
-    """Write the pose at which row t was read, with sine and cosine of the direction that the sensor looks in."""
-    lag, yaw = sensor.lag[t], sensor.sensor_pose[2]
+def _place(sensor, lag, previous, current, scratch):
+    """Write the pose at which a row was read, with sine and cosine of the direction that the sensor looks in."""
+    yaw = sensor.sensor_pose[2]
     mount_x, mount_y = sensor.sensor_pose[0], sensor.sensor_pose[1]
     n = current.shape[1]
     for d in range(3):
@@ -102,6 +108,78 @@ def _channel(sensor, kind, k, j, ahead, aside, distance, angle):
         return residual, sensor.bearing_std[j] * (1.0 + sensor.bearing_falloff[j] / max(distance, _NEAREST))
     ideal = sensor.size_constant[j] / (distance * distance)
     return sensor.size[k] - ideal, sensor.size_std[j] * ideal
+
+
+@kernel
+def _reading_of(sensor, kind, k):
+    return sensor.range[k] if kind == RANGE else (sensor.bearing[k] if kind == BEARING else sensor.size[k])
+
+
+@kernel
+def _correlation(sensor, kind, j):
+    if kind == SIZE:
+        return 0.0
+    return sensor.range_correlation[j] if kind == RANGE else sensor.bearing_correlation[j]
+
+
+@kernel
+def _last_sighting(sensor, t, j):
+    """Return the sighting of landmark j in the row before t; -1 without one, or where errors of j do not last."""
+    found = -1
+    if t > 0 and (sensor.range_correlation[j] != 0.0 or sensor.bearing_correlation[j] != 0.0):
+        for k in range(sensor.first[t - 1], sensor.first[t]):
+            if sensor.landmark[k] == j:
+                found = k
+    return found
+
+
+@kernel
+def _given_last(sensor, kind, last, residual, std, before, i):
+    """Return residual and standard deviation of a reading of its own landmark given sighting `last` of it.
+
+    `before` holds where the landmark lay from the state before, column `i`.
+    """
+    j = sensor.landmark[last]
+    ahead, aside, distance = before[_AHEAD, i], before[_ASIDE, i], before[_DISTANCE, i]
+    error, spread = _channel(sensor, kind, last, j, ahead, aside, distance, math.atan2(aside, ahead))
+    correlation = _correlation(sensor, kind, j)
+    # What was not measured is NaN, and as unrelated as a gross error.
+    if not abs(error) < _RELATED * spread:
+        return residual, std
+    residual -= correlation * error
+    if kind == BEARING:
+        residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
+    return residual, std * math.sqrt(1.0 - correlation * correlation)
+
+
+@kernel
+def _add_memory(sensor, k, last, n, scratch, target):
+    """Make the log density of sighting k of its landmark, just added to `target`, that given sighting `last` of it."""
+    j, before = sensor.landmark[k], scratch[_BEFORE:]
+    _look(sensor, j, n, before)
+    for kind in range(SIZE):
+        correlation = _correlation(sensor, kind, j)
+        if correlation == 0.0 or math.isnan(_reading_of(sensor, kind, k)):
+            continue
+        if math.isnan(_reading_of(sensor, kind, last)):
+            continue
+        if kind == BEARING:
+            atan2_into(before[_ASIDE], before[_AHEAD], before[_ANGLE])
+        narrower = math.sqrt(1.0 - correlation * correlation)
+        log_narrower = math.log(narrower)
+        for i in range(n):
+            error, spread = _channel(
+                sensor, kind, last, j, before[_AHEAD, i], before[_ASIDE, i], before[_DISTANCE, i], before[_ANGLE, i]
+            )
+            residual, std = _channel(
+                sensor, kind, k, j, scratch[_AHEAD, i], scratch[_ASIDE, i], scratch[_DISTANCE, i], scratch[_ANGLE, i]
+            )
+            given = residual - correlation * error
+            if kind == BEARING:
+                given -= 2.0 * math.pi * math.floor(given / (2.0 * math.pi) + 0.5)
+            alone, related = residual / std, given / (narrower * std)
+            change = 0.5 * (alone * alone - related * related) - log_narrower
+            target[i] += change if abs(error) < _RELATED * spread else 0.0
 
 
 @kernel
@@ -168,17 +246,26 @@ def _log(x):
 @reading_logpdf.register(RichLandmarks, allocates=False)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     n, n_landmarks = logp.size, sensor.position.shape[0]
-    target, others, draft = scratch[_TARGET], scratch[_OTHERS], scratch[_DRAFT]
-    _place(sensor, t, previous, current, scratch)
+    others, draft = scratch[_OTHERS], scratch[_DRAFT]
+    _place(sensor, sensor.lag[t], previous, current, scratch)
+    placed_before = False
     for k in range(sensor.first[t], sensor.first[t + 1]):
         j = sensor.landmark[k]
         misread, wild = sensor.misread_weight[j], sensor.outlier_weight[j]
-        if misread == 0.0 and wild == 0.0:
-            _add_sighting(sensor, k, j, n, scratch, logp)
-            continue
-        for i in range(n):
-            target[i] = 0.0
+        last = _last_sighting(sensor, t, j)
+        if last >= 0 and not placed_before:
+            _place(sensor, 0.0, previous, previous, scratch[_BEFORE:])
+            placed_before = True
+        sure = misread == 0.0 and wild == 0.0
+        target = logp if sure else scratch[_TARGET]
+        if not sure:
+            for i in range(n):
+                target[i] = 0.0
         _add_sighting(sensor, k, j, n, scratch, target)
+        if last >= 0:
+            _add_memory(sensor, k, last, n, scratch, target)
+        if sure:
+            continue
         if misread > 0.0 and n_landmarks > 1:
             # Others join one by one; each weight is its share of what is mixed so far.
             total = 1.0 - misread
@@ -212,11 +299,6 @@ def _reading_slots(sensor, t):
 
 
 @kernel
-def _reading_of(sensor, kind, k):
-    return sensor.range[k] if kind == RANGE else (sensor.bearing[k] if kind == BEARING else sensor.size[k])
-
-
-@kernel
 def _wild_density(sensor, kind, j):
     if kind == RANGE:
         return 1.0 / sensor.max_range
@@ -231,7 +313,11 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
         return False
     named, n, n_landmarks = sensor.landmark[k], logp.size, sensor.position.shape[0]
     misread, wild = sensor.misread_weight[named], sensor.outlier_weight[named]
-    _place(sensor, t, previous, current, scratch)
+    _place(sensor, sensor.lag[t], previous, current, scratch)
+    last, states_before = _last_sighting(sensor, t, named), scratch[_BEFORE:]
+    if last >= 0:
+        _place(sensor, 0.0, previous, previous, states_before)
+        _look(sensor, named, n, states_before)
     # What the sighting is of (its landmark, another one, nothing) weighed by the readings of it that came before.
     before, now, below = memory[0], memory[1], memory[2]
     for i in range(n):
@@ -249,8 +335,12 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
             for earlier in range(kind):
                 if not math.isnan(_reading_of(sensor, earlier, k)):
                     residual, std = _channel(sensor, earlier, k, j, ahead, aside, distance, angle)
+                    if j == named and last >= 0:
+                        residual, std = _given_last(sensor, earlier, last, residual, std, states_before, i)
                     share *= math.exp(-0.5 * (residual / std) ** 2 - _HALF_LOG_2PI) / std
             residual, std = _channel(sensor, kind, k, j, ahead, aside, distance, angle)
+            if j == named and last >= 0:
+                residual, std = _given_last(sensor, kind, last, residual, std, states_before, i)
             before[i] += share
             now[i] += share * math.exp(-0.5 * (residual / std) ** 2 - _HALF_LOG_2PI) / std
             below[i] += share * 0.5 * math.erfc(-residual / std * math.sqrt(0.5))
@@ -297,4 +387,10 @@ def _linear_information(sensor, geometry, t, precision, shift):
         residual = geometry.reading[k] - expected
         if kind == BEARING:
             residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
-        add_information(jacobian, k, scale, geometry.weight[k] / (std * std), residual, precision, shift)
+        weight = geometry.weight[k] / (std * std)
+        last = _last_sighting(sensor, t, j)
+        if last >= 0 and not math.isnan(_reading_of(sensor, kind, last)):
+            # Of a run of related readings each after the first adds this share to what is known of a steady error.
+            correlation = _correlation(sensor, kind, j)
+            weight *= (1.0 - correlation) / (1.0 + correlation)
+        add_information(jacobian, k, scale, weight, residual, precision, shift)

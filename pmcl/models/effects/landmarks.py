@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from scipy import stats
 
@@ -74,6 +77,17 @@ def _bearing_noise(tables: Tables, values: Float, log: RobotLog, where: Where) -
     )
 
 
+def _correlated(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
+    def edit(seen: Any) -> Mapping[str, Any]:
+        n_landmarks = seen.position.shape[0]
+        return {
+            "range_correlation": np.full(n_landmarks, values[0]),
+            "bearing_correlation": np.full(n_landmarks, values[1]),
+        }
+
+    return enrich_landmarks(tables, edit, "landmark-noise-correlated")
+
+
 def _misread(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     return enrich_landmarks(
         tables,
@@ -84,6 +98,14 @@ def _misread(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
 
 def _reads_size(log: RobotLog) -> bool:
     return _read(log.landmark_size)
+
+
+def _read_row_after_row(log: RobotLog) -> bool:
+    """Return whether landmarks are often read at two rows in a row: the density looks back one row, not farther."""
+    channels = [values for values in (log.landmark_range, log.landmark_bearing) if values is not None]
+    read = [~np.isnan(values) for values in channels]
+    again = sum(int((one[1:] & one[:-1]).sum()) for one in read)
+    return again > 0.2 * sum(int(one.sum()) for one in read)
 
 
 def _reads_several(log: RobotLog) -> bool:
@@ -184,6 +206,32 @@ LANDMARK_EFFECTS = (
         near_twins={"sensor-offset": "turn on the spot: an offset errs always the same way"},
         references=(_THRUN,),
         needs=reads_bearing,
+    ),
+    Effect(
+        name="landmark-noise-correlated",
+        summary="Errors of a landmark's distance and bearing last from one sighting to the next instead of being new.",
+        parameters=(
+            Parameter("landmark_noise_correlated_range", "1", stats.uniform(scale=0.99), "correlation of the error of "
+                      "a distance with that of the same landmark a row before"),
+            Parameter("landmark_noise_correlated_bearing", "1", stats.uniform(scale=0.99), "correlation of the error "
+                      "of a bearing with that of the same landmark a row before"),
+        ),
+        null=(0.0, 0.0),
+        change=_correlated,
+        carrier="landmark",
+        look="Residuals of a landmark resemble its residuals at the row before; the robot seems to slip to and fro.",
+        typical={"just visible": (0.1, 0.1), "clear": (0.4, 0.4), "large": (0.8, 0.8)},
+        absorber=True,
+        near_twins={
+            "landmark-moved": "come back later: errors of the map are still there",
+            "landmark-range-bias": "look at other landmarks: a bias is the same for all of them, and stays",
+            "bearing-bias": "look at other landmarks: a bias is the same for all of them, and stays",
+        },
+        references=(
+            "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3.4",
+            "Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 8.1",
+        ),
+        needs=_read_row_after_row,
     ),
     Effect(
         name="landmark-misread",

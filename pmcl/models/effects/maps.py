@@ -82,7 +82,10 @@ MAP_EFFECTS = (
         look="Residuals of one landmark depend on where it is seen from; those of the others are fine.",
         typical={"just visible": (0.1, 0.0), "clear": (0.3, 0.2), "large": (0.8, 0.6)},
         means_only=True,
-        near_twins={"landmark-misread": "look again later: a misread landmark is right the next time"},
+        near_twins={
+            "landmark-misread": "look again later: a misread landmark is right the next time",
+            "landmark-noise-correlated": "come back later: an error that lasts a while is another one then",
+        },
         references=(_THRUN,),
         needs=reads_landmarks,
         places=_each_landmark,
