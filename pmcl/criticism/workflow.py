@@ -51,8 +51,8 @@ __all__ = ["criticize"]
 _LEAST_ROWS, _LEAST_READINGS = 60, 20
 _FIT_SHARE = 0.6
 _FORMULAS = 4
-# Formulas compete with an absorber when their score comes this near to its own.
-_NEARLY = 0.8
+# Formulas compete with an absorber when their score is at least this share of its own.
+_NEARLY = 0.5
 
 
 def criticize(
