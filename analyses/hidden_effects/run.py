@@ -120,7 +120,7 @@ def sum_up(results: Path) -> None:
     for row in rows:
         found = row["verdict"] in ("explained", "unknown effect")
         named, in_set = row["right_name"] == "1", row["in_the_set"] == "1"
-        named_formula = row["found"].startswith(FORMULA)
+        named_formula = FORMULA in row["found"]
         wrong = row["verdict"] == "explained" and not in_set and not named_formula
         tally.setdefault(f"{row['kind']} {row['magnitude']}".strip(), []).append((found, named, in_set, wrong))
         print(

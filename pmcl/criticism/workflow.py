@@ -51,6 +51,8 @@ __all__ = ["criticize"]
 _LEAST_ROWS, _LEAST_READINGS = 60, 20
 _FIT_SHARE = 0.6
 _FORMULAS = 4
+# Parameters of effects cost a density for each proposal, and transport moves change them as well.
+_ROUNDS_OF_METROPOLIS = 2
 # Formulas compete with an absorber when their score is at least this share of its own.
 _NEARLY = 0.5
 
@@ -337,8 +339,9 @@ class _Loop:
         if joint and self.found:
             self.settings.tell("calibrating the final model")
             posterior = calibrate(
-                self.log, model, draws=draws, seed=self.settings.seed, progress=self.settings.progress
-            )
+                self.log, model, draws=draws, metropolis_steps=_ROUNDS_OF_METROPOLIS,
+                seed=self.settings.seed, progress=self.settings.progress,
+            )  # fmt: skip
             after = drawn_estimates(last.fit, posterior)
         added = model.named_effects[len(self.base.effects) :]
         found = tuple(measured(one, effect, after, model.fixed) for one, effect in zip(self.found, added, strict=True))
