@@ -155,3 +155,28 @@ def test_a_recorded_robot_has_measured_noise_instead_of_true_noise(small, shared
     assert errors["score"]["measured"] > errors["score"]["mean"]
     with_outliers = localization_errors(small("localization_error", "mrclam_outliers") / "errors_mrclam_outliers.csv")
     assert set(with_outliers["score"]) == {"prior", "mean", "map", "posterior"}
+
+
+@pytest.mark.slow
+def test_a_hidden_effect_goes_through_the_whole_benchmark(tmp_path):
+    """Made, criticised by something that is told nothing, scored; and what is scored is not made again."""
+
+    def run(*arguments):
+        results = ("--results", tmp_path / "results.csv")
+        command = [sys.executable, ANALYSES / "hidden_effects" / "run.py", *arguments, *results]
+        return subprocess.run(command, check=True, timeout=500, capture_output=True, text=True).stdout
+
+    logs = tmp_path / "logs"
+    block = ("--effects", "range-scale", "--magnitudes", "large", "--places", "room", "--nulls", "0", "--pairs", "0")
+    run("make", logs, *block)
+    assert sorted(path.name for path in logs.iterdir()) == ["log-0000.nc", "sealed.json"]
+    assert b"range-scale" not in (logs / "log-0000.nc").read_bytes()
+    run("run", logs)
+    assert "one large: 1 logs, found 1, named 1" in run("score", logs)
+    (row,) = read(tmp_path / "results.csv")
+    assert row["found"] == "range-scale"
+    gap = float(row["score_of_truth"]) - float(row["score_before"])
+    assert float(row["score_after"]) - float(row["score_before"]) > 0.8 * gap > 0.0
+    assert abs(float(row["mean"]) - float(row["truth"])) < 5.0 * float(row["sd"])
+    run("make", tmp_path / "again", *block)
+    assert not list((tmp_path / "again").glob("log-*.nc"))

@@ -8,6 +8,7 @@ import shapely
 
 from pmcl.errors import ModelError
 from pmcl.geometry import between, compose, wrap
+from pmcl.maps.walls import WallMap
 from pmcl.robots.amigobot import AMIGOBOT_BEAMS, AMIGOBOT_ROOM, simulate_amigobot
 from pmcl.robots.driving import WaypointDriver, drive
 from pmcl.robots.landmark_field import simulate_landmark_field
@@ -70,6 +71,33 @@ def test_given_parameters_are_the_truth():
     log = simulate_amigobot(20.0, theta={"sigma_range": 0.123})
     assert log.true_theta["sigma_range"] == 0.123
     assert set(log.true_theta) == {"sigma_forward", "sigma_left", "sigma_turn", "sigma_range"}
+
+
+def test_the_amigobot_drives_in_another_room():
+    hall = WallMap.from_polygon([(0.0, 0.0), (6.0, 0.0), (6.0, 3.0), (0.0, 3.0)])
+    points = [(4.5, 1.0), (3.0, 2.0), (1.5, 1.0)]
+    log = simulate_amigobot(200.0, 1, EXACT, room=hall, waypoints=points)
+    np.testing.assert_array_equal(log.walls.segments, hall.segments)
+    np.testing.assert_allclose(log.start_mean, (1.5, 1.0, 0.0))
+    assert hall.contains(log.true_poses).all()
+    for point in points:
+        assert np.hypot(*(log.true_poses[:, :2] - point).T).min() < 0.25
+    round_the_room = simulate_amigobot(60.0, 1, EXACT, waypoints=points[1:])
+    np.testing.assert_array_equal(round_the_room.walls.segments, AMIGOBOT_ROOM.segments)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"room": AMIGOBOT_ROOM}, "expected waypoints for a room of your own"),
+        ({"waypoints": [(1.0, 1.0)]}, "at least two points"),
+        ({"waypoints": [(1.0, 1.0, 0.0), (2.0, 1.0, 0.0)]}, "at least two points"),
+        ({"waypoints": [(1.0, 1.0), (np.nan, 1.0)]}, "finite"),
+    ],
+)
+def test_rooms_without_a_way_are_refused(given, message):
+    with pytest.raises(ModelError, match=message):
+        simulate_amigobot(20.0, **given)
 
 
 @pytest.mark.parametrize("wrong", [{"duration": 1.0}, {"duration": np.nan}, {"duration": np.inf}, {"seed": -1}])

@@ -22,7 +22,10 @@ def announce_compilation(name: str, compiled: Any) -> Iterator[None]:
     misses = sum(compiled.stats.cache_misses.values())
     if not _said:
         _said = True
-        _logger.info("loading the compiled kernels (the first run on a machine compiles them, 10 to 30 s) ...")
+        _logger.info(
+            "loading the compiled kernels (the first run on a machine compiles them: half a minute; some minutes for "
+            "criticism, which needs those of all effects) ..."
+        )
     yield
     if sum(compiled.stats.cache_misses.values()) > misses:
         _logger.info("compiled %s in %.1f s", name, time.perf_counter() - started)
