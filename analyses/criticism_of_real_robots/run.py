@@ -42,7 +42,7 @@ def main() -> None:
         if path.exists():
             continue
         begin = time.perf_counter()
-        found = criticize(log)
+        found = criticize(log, draws=250)
         seconds = time.perf_counter() - begin
         write_criticism_report(found, HERE / f"{path.stem}.html")
         rows = []

@@ -24,7 +24,7 @@ from pmcl.models.tables import Tables
 
 __all__ = [
     "Trial", "choose", "leaders", "scan", "shortlist", "spare_effects", "thoroughly", "trial_of_base", "try_effect",
-    "worth_it",
+    "untried_twins", "worth_it",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
@@ -110,6 +110,25 @@ def shortlist(
     scanned_first = [wanted[k].effect for k in _distinct(wanted, by_scan)]
     fresh = [effect for effect in scanned_first if not any(_same(effect, one) for one in chosen)]
     return [(effect, known[id(effect)]) for effect in chosen + fresh[:_BY_SCAN]]
+
+
+def untried_twins(
+    best: Effect, wanted: Sequence[Direction], z: Float, trials: Sequence[Trial]
+) -> list[tuple[Effect, float]]:
+    """Return the near twins of an effect that were not refitted yet, with their deviations.
+
+    A twin that the path absorbs has hardly a score, and would never be refitted for it: a constant error of bearings is
+    a heading. Of twins with many places only the one with the greatest score is returned.
+    """
+    tried = [trial.effect for trial in trials if trial.effect is not None]
+    order = [int(k) for k in np.argsort(-np.abs(z))]
+    made: dict[str, tuple[Effect, float]] = {}
+    for k in order:
+        effect = wanted[k].effect
+        twins = effect.name in best.near_twins or best.name in effect.near_twins
+        if twins and effect.name != best.name and not any(_same(effect, one) for one in tried):
+            made.setdefault(effect.name, (effect, float(z[k])))
+    return list(made.values())
 
 
 def _same(one: Effect, other: Effect) -> bool:

@@ -67,7 +67,7 @@ def sentence_of(
 
 def _told(effect: FoundEffect) -> str:
     numbers = ", ".join(
-        f"{name} = {one.mean:.3g} +- {one.sd:.1g}{' ' + one.unit if one.unit != '1' else ''}"
+        f"{name} = {one.mean:.3g} ± {one.sd:.1g}{' ' + one.unit if one.unit != '1' else ''}"
         for name, one in effect.parameters.items()
     )
     twins = f" (or {', '.join(effect.not_distinguishable_from)})" if effect.not_distinguishable_from else ""

@@ -31,6 +31,7 @@ from pmcl.criticism.naming import (
     thoroughly,
     trial_of_base,
     try_effect,
+    untried_twins,
     worth_it,
 )
 from pmcl.criticism.passes import Settings, candidate_directions, criticised, judged_again, mapped
@@ -253,6 +254,9 @@ class _Loop:
         best, _ = choose(trials)
         if best is not None and best.effect is not None and best.effect.absorber:
             trials += self._tried(current, shortlist(self.wanted, z, scanned, more=True))
+            best, _ = choose(trials)
+        if best is not None and best.effect is not None:
+            trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials))
         trials = self._settled(current, trials)
         best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):

@@ -120,7 +120,7 @@ def _gaps(found: Criticism) -> list[tuple[str, str, str, str]]:
 
 
 def _estimate(one: Estimate | None) -> str:
-    return "" if one is None else f"{_number(one.mean)} +- {one.sd:.2g}"
+    return "" if one is None else f"{_number(one.mean)} ± {one.sd:.2g}"
 
 
 def _number(value: float) -> str:
