@@ -164,7 +164,7 @@ def test_a_hidden_effect_goes_through_the_whole_benchmark(tmp_path):
     def run(*arguments):
         results = ("--results", tmp_path / "results.csv")
         command = [sys.executable, ANALYSES / "hidden_effects" / "run.py", *arguments, *results]
-        return subprocess.run(command, check=True, timeout=500, capture_output=True, text=True).stdout
+        return subprocess.run(command, check=True, timeout=1500, capture_output=True, text=True).stdout
 
     logs = tmp_path / "logs"
     block = ("--effects", "range-scale", "--magnitudes", "large", "--places", "room", "--nulls", "0", "--pairs", "0")
