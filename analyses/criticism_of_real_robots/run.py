@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from pmcl.criticism.workflow import criticize
+from pmcl.errors import FilterError
 from pmcl.localization.many import localize_many
 from pmcl.logs.barfoot import read_barfoot
 from pmcl.logs.mrclam import read_mrclam
 from pmcl.logs.robot_log import RobotLog
-from pmcl.reports.criticism_report import write_criticism_report
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("PMCL_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
@@ -42,9 +42,15 @@ def main() -> None:
         if path.exists():
             continue
         begin = time.perf_counter()
-        found = criticize(log, draws=250)
+        try:
+            found = criticize(log, draws=250)
+        except FilterError as error:
+            # No made-up name where the base model cannot follow the robot.
+            sentence = str(error).removeprefix(f"{log.where}: ")
+            path.write_text(json.dumps({"verdict": "refused", "sentence": sentence, "effects": [], "steps": []}) + "\n")
+            print(f"{name}: {sentence}", flush=True)
+            continue
         seconds = time.perf_counter() - begin
-        write_criticism_report(found, HERE / f"{path.stem}.html")
         rows = []
         for title, model, estimates in (("base", found.base, found.before), ("final", found.model, found.after)):
             theta = {key: estimates[key].mean for key in model.bind(log).names}

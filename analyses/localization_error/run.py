@@ -6,11 +6,10 @@
     python run.py mrclam_outliers    # the same with a model that allows for gross errors of the sensor
     python run.py amigobot --small --output FOLDER
 
-Each takes five to twenty minutes on one core. Every calibration has a training log of its own and test trajectories of its
-own. draws_<robot>_<calibration>.npz holds the posterior, errors_<robot>.csv a row for each run of the filter; what is
-there already is not computed again. The recordings are looked for in PMCL_DATA, by default shared/data beside the
-repository.
-"""
+Each takes five to twenty minutes on one core. Every calibration has a training log of its own and test trajectories
+of its own. draws_<robot>_<calibration>.npz holds the posterior, errors_<robot>.csv a row for each run of the filter;
+what is there already is not computed again. The recordings are looked for in PMCL_DATA, by default shared/data beside
+the repository."""
 
 import argparse
 import csv

@@ -40,7 +40,7 @@ def write_criticism_report(found: Criticism, path: str | os.PathLike[str]) -> No
         number=_number,
         parameters=_parameters(found),
         gaps=_gaps(found),
-        alarms=[(", ".join(step.model) or "base model", step.alarms) for step in found.steps],
+        alarms=[(_stage(step.model), step.alarms) for step in found.steps],
         pictures=_pictures(found),
         steps=[(n + 1, step, _rejected(step.candidates)) for n, step in enumerate(found.steps)],
         label=label_of,
@@ -73,7 +73,7 @@ def _pictures(found: Criticism) -> list[Picture]:
     for number, step in enumerate(found.steps):
         if not step.candidates:
             continue
-        of = f"model with {', '.join(step.model)}" if step.model else "base model"
+        of = f"model with {' and '.join(step.model)}" if step.model else "base model"
         pictures.append(
             Picture(
                 f"Candidates: scores of the {of}",
@@ -110,13 +110,18 @@ def _parameters(found: Criticism) -> list[tuple[str, str, str, str]]:
 def _gaps(found: Criticism) -> list[tuple[str, str, str, str]]:
     return [
         (
-            ", ".join(step.model) or "base model",
+            _stage(step.model),
             f"{step.gap.log_score_per_reading:.4f}",
             f"{step.gap.pit_distance:.4f}",
             f"{100.0 * step.gap.coverage_90:.1f} %",
         )
         for step in found.steps
     ]
+
+
+def _stage(model: tuple[str, ...]) -> str:
+    """Name a step by what was added last."""
+    return f"+ {model[-1]}" if model else "base model"
 
 
 def _estimate(one: Estimate | None) -> str:
