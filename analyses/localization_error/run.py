@@ -9,7 +9,8 @@
 Each takes five to twenty minutes on one core. Every calibration has a training log of its own and test trajectories
 of its own. draws_<robot>_<calibration>.npz holds the posterior, errors_<robot>.csv a row for each run of the filter;
 what is there already is not computed again. The recordings are looked for in PMCL_DATA, by default shared/data beside
-the repository."""
+the repository.
+"""
 
 import argparse
 import csv
