@@ -48,8 +48,11 @@ def found_effect(
     """Return an accepted effect, still without its final parameters."""
     effect = accepted.effect
     assert effect is not None
-    p_values = [float(p) for p, one in zip(judged.p_values, wanted, strict=True) if one.effect is effect]
     others = [trial.effect for trial in twins if trial.effect is not None]
+    alike = [effect, *others]
+    p_values = [
+        float(p) for p, one in zip(judged.p_values, wanted, strict=True) if any(one.effect is same for same in alike)
+    ]
     advice = [effect.near_twins.get(other.name) or other.near_twins.get(effect.name, "") for other in others]
     return FoundEffect(
         effect.name, effect.summary, effect.where, {}, min(p_values, default=1.0), *accepted.on_heldout,

@@ -44,7 +44,7 @@ class FoundEffect:
     parameters : mapping of str to Estimate
         Its calibrated parameters.
     p_value : float
-        Of its score, before it was added.
+        Of its score, or of that of an effect that this log cannot tell from it, before it was added.
     log_score_gain, log_score_gain_se : float
         Gain on held-out data [nat] when it was added, and its standard error.
     not_distinguishable_from : tuple of str

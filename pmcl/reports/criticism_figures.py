@@ -96,7 +96,9 @@ def plot_pit(found: Criticism) -> Figure:
 def plot_candidates(found: Criticism, number: int = 0) -> Figure:
     """Bars of the greatest scores of one step, with the line that 5 % of logs without an effect cross."""
     step = found.steps[number]
-    ranked = sorted(step.candidates, key=lambda one: -abs(one.z))[:_MOST_CANDIDATES][::-1]
+    by_score = sorted(step.candidates, key=lambda one: -abs(one.z))
+    # One that was added for what its refit showed may have hardly a score.
+    ranked = [one for k, one in enumerate(by_score) if k < _MOST_CANDIDATES or one.accepted][::-1]
     figure = new_figure(0.9 + 0.28 * max(3, len(ranked)))
     axes = figure.subplots()
     colors = [_ACCEPTED if one.accepted else POSTERIOR for one in ranked]
