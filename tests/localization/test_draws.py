@@ -16,6 +16,7 @@ import pmcl
 from pmcl.errors import ModelError
 from pmcl.filtering.kernels.compile import entry
 from pmcl.filtering.kernels.drawn import is_shared, log_likelihood
+from pmcl.filtering.kernels.random_numbers import normals_into
 from pmcl.filtering.kernels.views import columns, take
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.tracker import Options, Tracker, stack_tables
@@ -126,8 +127,15 @@ def _assert_twins(all_tables, picks, seed, counts, **plain):
         np.testing.assert_allclose(compiled, expected, rtol=1e-8, atol=1e-10)
 
 
+@entry
+def draw_normals(rng, n):
+    out = np.empty((3, n))
+    normals_into(rng, out, np.empty(n))
+    return out
+
+
 def _move_poses(all_tables, t, states, which, rng):
-    normals = rng.standard_normal((N, 3))
+    normals = draw_normals(rng, N).T
     mean = np.array([all_tables[k].motion.mean[t] for k in which])
     std = np.array([all_tables[k].motion.std[t] for k in which])
     forward, left, turn = (mean + std * normals).T

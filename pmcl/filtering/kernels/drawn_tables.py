@@ -6,6 +6,7 @@ import math
 
 from pmcl.filtering.kernels.contract import reading_logpdf
 from pmcl.filtering.kernels.drawn import is_shared, propagate_draws, reading_logpdf_draws
+from pmcl.filtering.kernels.random_numbers import normals_into
 from pmcl.filtering.kernels.ranges import beam_logpdf, cast_one_beam
 from pmcl.filtering.kernels.vector_math import sincos_into
 from pmcl.filtering.kernels.views import take
@@ -14,23 +15,24 @@ from pmcl.models.tables import IncrementMotion, RangeBeams
 
 @propagate_draws.register(IncrementMotion, allocates=False)
 def _increments(motion, stack, t, rng, which, previous, current, scratch, order, counts, gathered):
-    """Use the mean and noise of each particle's own draw while drawing normals, which is a scalar loop anyway."""
-    sine, cosine, forward, left = scratch[0], scratch[1], scratch[2], scratch[3]
+    """Use the mean and noise of each particle's own draw."""
+    sine, cosine, forward, left, turn = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     n = current.shape[1]
     x, y, heading = current[0], current[1], current[2]
     before_x, before_y, before_heading = previous[0], previous[1], previous[2]
+    normals_into(rng, scratch[2:5], sine)
     for i in range(n):
         mean, std = take(motion.mean, stack.mean, which[i]), take(motion.std, stack.std, which[i])
-        forward[i] = mean[t, 0] + std[t, 0] * rng.standard_normal()
-        left[i] = mean[t, 1] + std[t, 1] * rng.standard_normal()
-        heading[i] = mean[t, 2] + std[t, 2] * rng.standard_normal()
+        forward[i] = mean[t, 0] + std[t, 0] * forward[i]
+        left[i] = mean[t, 1] + std[t, 1] * left[i]
+        turn[i] = mean[t, 2] + std[t, 2] * turn[i]
     sincos_into(before_heading, sine, cosine)
     for i in range(n):
         x[i] = before_x[i] + forward[i] * cosine[i] - left[i] * sine[i]
     for i in range(n):
         y[i] = before_y[i] + forward[i] * sine[i] + left[i] * cosine[i]
     for i in range(n):
-        heading[i] = before_heading[i] + heading[i]
+        heading[i] = before_heading[i] + turn[i]
 
 
 @reading_logpdf_draws.register(RangeBeams, allocates=False)

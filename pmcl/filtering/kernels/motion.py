@@ -15,6 +15,7 @@ from pmcl.filtering.kernels.contract import (
     state_size,
     transition_logpdf,
 )
+from pmcl.filtering.kernels.random_numbers import normals_into
 from pmcl.filtering.kernels.vector_math import sincos_into
 from pmcl.models.tables import IncrementMotion
 
@@ -28,21 +29,18 @@ def _state_size(motion):
 
 @scratch_rows.register(IncrementMotion, allocates=False)
 def _scratch_rows(table):
-    return 4
+    return 5
 
 
 @propagate.register(IncrementMotion, allocates=False)
 def _propagate(motion, t, rng, previous, current, scratch):
     sine, cosine = scratch[0], scratch[1]
-    forward, left = scratch[2], scratch[3]
+    forward, left, turn = scratch[2], scratch[3], scratch[4]
     n = current.shape[1]
     x, y, heading = current[0], current[1], current[2]
     before_x, before_y, before_heading = previous[0], previous[1], previous[2]
     # Normals are drawn in a loop of their own: it cannot be vectorised, the arithmetic below can.
-    for i in range(n):
-        forward[i] = rng.standard_normal()
-        left[i] = rng.standard_normal()
-        heading[i] = rng.standard_normal()
+    normals_into(rng, scratch[2:5], sine)
     sincos_into(before_heading, sine, cosine)
     mean_forward, mean_left, mean_turn = motion.mean[t, 0], motion.mean[t, 1], motion.mean[t, 2]
     std_forward, std_left, std_turn = motion.std[t, 0], motion.std[t, 1], motion.std[t, 2]
@@ -54,7 +52,7 @@ def _propagate(motion, t, rng, previous, current, scratch):
         f, g = mean_forward + std_forward * forward[i], mean_left + std_left * left[i]
         y[i] = before_y[i] + f * sine[i] + g * cosine[i]
     for i in range(n):
-        heading[i] = before_heading[i] + mean_turn + std_turn * heading[i]
+        heading[i] = before_heading[i] + mean_turn + std_turn * turn[i]
 
 
 @transition_logpdf.register(IncrementMotion, allocates=False)

@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 
 from pmcl.filtering.kernels.compile import kernel
 
-__all__ = ["atan2_into", "exp_into", "extremes", "log_into", "maximum", "sincos_into", "total"]
+__all__ = ["atan2_into", "bits_of", "exp_into", "extremes", "float_of", "log_into", "maximum", "sincos_into", "total"]
 
 # Adding and subtracting 1.5 * 2^52 rounds to the nearest integer and leaves it in the low bits of the mantissa.
 _ROUND = 6755399441055744.0
@@ -36,7 +36,7 @@ _LEAST = _ALL_BUT_SIGN ^ -(1 << 52)
 
 
 @intrinsic
-def _bits_of(typing_context, x):
+def bits_of(typing_context, x):
     """Return the 64 bits of a float as an integer."""
 
     def generate(context, builder, signature, arguments):
@@ -46,7 +46,7 @@ def _bits_of(typing_context, x):
 
 
 @intrinsic
-def _float_of(typing_context, bits):
+def float_of(typing_context, bits):
     """Return the float that 64 bits spell."""
 
     def generate(context, builder, signature, arguments):
@@ -79,7 +79,7 @@ def exp_into(x, shift, out):
         p = p * r + 1.0
         p = p * r + 1.0
         # k sits in the low bits of `rounded`: shifted up it is the exponent of 2^k.
-        power = _float_of((_bits_of(rounded) + 1023) << 52)
+        power = float_of((bits_of(rounded) + 1023) << 52)
         vanished = 0.0 if given <= _SMALLEST_EXPONENT else np.nan
         out[i] = p * power if given > _SMALLEST_EXPONENT else vanished
 
@@ -88,8 +88,8 @@ def exp_into(x, shift, out):
 def log_into(x, out):
     """Write log(x) into `out` for normal numbers x > 0; 0 and subnormal numbers give -inf, negative numbers NaN."""
     for i in range(x.size):
-        bits = _bits_of(x[i])
-        m = _float_of((bits & _MANTISSA_BITS) | _ONE_BITS)
+        bits = bits_of(x[i])
+        m = float_of((bits & _MANTISSA_BITS) | _ONE_BITS)
         e = float((bits >> 52) - 1023)
         high = m > 1.4142135623730951
         m = 0.5 * m if high else m
@@ -192,8 +192,8 @@ def maximum(x):
     """
     best = _LEAST
     for i in range(x.size):
-        best = max(best, _ordered(_bits_of(x[i])))
-    return _float_of(_ordered(best))
+        best = max(best, _ordered(bits_of(x[i])))
+    return float_of(_ordered(best))
 
 
 @kernel
@@ -201,9 +201,9 @@ def extremes(x):
     """Return the smallest and the largest element of an array without NaN."""
     low, high = _GREATEST, _LEAST
     for i in range(x.size):
-        value = _ordered(_bits_of(x[i]))
+        value = _ordered(bits_of(x[i]))
         low, high = min(low, value), max(high, value)
-    return _float_of(_ordered(low)), _float_of(_ordered(high))
+    return float_of(_ordered(low)), float_of(_ordered(high))
 
 
 @kernel(reorder=True)
