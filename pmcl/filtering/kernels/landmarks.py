@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pmcl.filtering.kernels.compile import entry
+from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
@@ -41,6 +41,14 @@ def _has_reading(sensor, t):
     return sensor.first[t + 1] > sensor.first[t]
 
 
+@kernel
+def _add_distance(x, y, landmark_x, landmark_y, shifted, slope, constant, logp):
+    for i in range(logp.size):
+        dx, dy = landmark_x - x[i], landmark_y - y[i]
+        r = shifted - slope * math.sqrt(dx * dx + dy * dy)
+        logp[i] += constant - 0.5 * r * r
+
+
 @reading_logpdf.register(LandmarkSightings, allocates=False)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     n = logp.size
@@ -49,6 +57,10 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     )  # fmt: skip
     x, y = current[0], current[1]
     mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    mounted = mount_x != 0.0 or mount_y != 0.0
+    log_max_range = math.log(sensor.max_range)
+    # Landmarks mostly share one standard deviation: its logarithm is not taken for each of them.
+    usual_std, usual_constant = math.nan, 0.0
     turned = False
     for k in range(sensor.first[t], sensor.first[t + 1]):
         j = sensor.landmark[k]
@@ -60,7 +72,10 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
                 work[i] = 0.0
         outlier = 0.0
         has_bearing = not math.isnan(sensor.bearing[k])
-        if has_bearing or mount_x != 0.0 or mount_y != 0.0:
+        z, size = sensor.range[k], sensor.size[k]
+        # The commonest sighting needs no frame of the sensor: one loop instead of three.
+        distance_only = not (has_bearing or mounted) and math.isnan(size)
+        if has_bearing or mounted:
             if not turned:
                 sincos_into(current[2], sine, cosine)
                 turned = True
@@ -75,21 +90,25 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             for i in range(n):
                 c_i, s_i = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
                 aside[i] = (landmark_y - y[i]) * c_i - (landmark_x - x[i]) * s_i - offset_aside
-        else:
+        elif not distance_only:
             for i in range(n):
                 ahead[i] = landmark_x - x[i]
-                aside[i] = landmark_y - y[i]
-        z = sensor.range[k]
-        if not math.isnan(z):
-            scale, inverse_std = sensor.range_scale[j], 1.0 / sensor.range_std[j]
-            constant = math.log(inverse_std) - _HALF_LOG_2PI
-            shifted, slope = (z - sensor.range_bias[j]) * inverse_std, scale * inverse_std
-            outlier -= math.log(sensor.max_range)
             for i in range(n):
-                r = shifted - slope * math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
-                target[i] += constant - 0.5 * r * r
-        z = sensor.size[k]
+                aside[i] = landmark_y - y[i]
         if not math.isnan(z):
+            scale, std = sensor.range_scale[j], sensor.range_std[j]
+            if std != usual_std:
+                usual_std, usual_constant = std, -math.log(std) - _HALF_LOG_2PI
+            inverse_std, constant = 1.0 / std, usual_constant
+            shifted, slope = (z - sensor.range_bias[j]) * inverse_std, scale * inverse_std
+            outlier -= log_max_range
+            if distance_only:
+                _add_distance(x, y, landmark_x, landmark_y, shifted, slope, constant, target)
+            else:
+                for i in range(n):
+                    r = shifted - slope * math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
+                    target[i] += constant - 0.5 * r * r
+        if not math.isnan(size):
             # Gaussian on the ratio observed / ideal; the density of the pixels themselves divides by the ideal.
             inverse_std, per_area = 1.0 / sensor.size_std[j], 1.0 / sensor.size_constant[j]
             constant = math.log(inverse_std * per_area) - _HALF_LOG_2PI
@@ -99,7 +118,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
                 area[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
             log_into(area, log_area)
             for i in range(n):
-                r = (z * area[i] * per_area - 1.0) * inverse_std
+                r = (size * area[i] * per_area - 1.0) * inverse_std
                 target[i] += log_area[i] + constant - 0.5 * r * r
         if has_bearing:
             inverse_std = 1.0 / sensor.bearing_std[j]
