@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmcl.errors import FilterError
 from pmcl.filtering.kernels import smc
-from pmcl.filtering.kernels.resampling import SCHEMES
+from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.models.tables import Tables
 
 __all__ = ["FilterPass", "SweepInfo", "draw_paths", "log_joint", "make_rng", "run_filter", "sweep_path"]
@@ -41,6 +41,8 @@ class FilterPass:
         Log predictive density of the readings at each time; they sum to the evidence.
     effective_size : ndarray, shape (T,)
         Effective sample size, 1 to n.
+    ancestors : ndarray of int, shape (T, n)
+        Which particle of the time before each one comes from; undefined at the first time.
     """
 
     log_evidence: float
@@ -48,6 +50,7 @@ class FilterPass:
     log_weights: Float
     log_increments: Float
     effective_size: Float
+    ancestors: NDArray[np.int32]
 
     def weights(self, t: int) -> Float:
         """Return the normalised weights at time t, shape (n,)."""
@@ -120,11 +123,11 @@ def run_filter(
     check_particles(n_particles)
     if scheme not in SCHEMES:
         raise FilterError(f"expected a resampling scheme out of {sorted(SCHEMES)}, but got '{scheme}'")
-    status, t, log_evidence, particles, log_weights, steps = smc.filter_pass(
-        tables, rng, n_steps, n_particles, SCHEMES[scheme], float(threshold)
+    status, t, log_evidence, particles, log_weights, steps, ancestors = smc.filter_pass(
+        tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold)
     )
     raise_outcome(status, t, "particle filter")
-    return FilterPass(log_evidence, particles, log_weights, steps[:, 0], steps[:, 1])
+    return FilterPass(log_evidence, particles, log_weights, steps[:, 0], steps[:, 1], ancestors)
 
 
 def check_particles(n_particles: int) -> None:
@@ -136,12 +139,17 @@ def check_particles(n_particles: int) -> None:
 def draw_paths(tables: Tables, filtered: FilterPass, n_paths: int, rng: np.random.Generator) -> Float:
     """Draw trajectories backward from a filter pass (eqs. 3 to 7), shape (n_paths, T, D).
 
+    Each has the law of backward sampling; where few particles could have been the ancestor, trajectories of one pass
+    have more states in common than independent draws would. Cost: O(T) for each path.
+
     Raises
     ------
     FilterError
-        When no particle can be the ancestor of a drawn state. Cost: O(T n) for each path.
+        When no particle can be the ancestor of a drawn state.
     """
-    status, t, paths = smc.sample_backward(tables, rng, filtered.particles, filtered.log_weights, n_paths)
+    status, t, paths = smc.sample_backward(
+        tables, rng, filtered.particles, filtered.log_weights, filtered.ancestors, n_paths
+    )
     raise_outcome(status, t, "backward sampling")
     return np.asarray(paths)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.filtering.kernels import smc
-from pmcl.filtering.kernels.resampling import SCHEMES
+from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.filtering.particle_filter import FilterPass, check_particles, raise_outcome
 from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
 from pmcl.models.tables import LandmarkSightings, RangeBeams, Tables
@@ -140,11 +140,11 @@ def predict_readings(
         When every particle gets weight zero, a density is not a number, or n < 2.
     """
     check_particles(n_particles)
-    status, t, evidence, particles, log_weights, steps, score, low, high = smc.predictive_pass(
-        tables, rng, n_steps, n_particles, SCHEMES[scheme], float(threshold)
+    status, t, evidence, particles, log_weights, steps, ancestors, score, low, high = smc.predictive_pass(
+        tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold)
     )
     raise_outcome(status, t, "particle filter")
-    filtered = FilterPass(evidence, particles, log_weights, steps[:, 0], steps[:, 1])
+    filtered = FilterPass(evidence, particles, log_weights, steps[:, 0], steps[:, 1], ancestors)
     indices = [reading_index(sensor, n_steps) for sensor in tables.sensors]
     kinds = tuple(name for index in indices for name in index.kinds)
     before = np.cumsum([0, *(len(index.kinds) for index in indices)])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -43,13 +46,37 @@ def test_metropolis_block_of_20_rounds(benchmark, amigobot):
     )
 
 
-def test_whole_default_sweep(benchmark, landmarks):
-    """Conditional SMC with 25 particles, Metropolis, block move, six transport moves."""
+def _walker(case, particles=25):
+    """Return a state and the function that makes one step of a walker."""
     from tests.oracles.sweeps import first_state
 
-    bound, theta = landmarks.bound, landmarks.theta
+    bound, theta = case.bound, case.theta
     d = theta.size
     proposal = Proposal(0.05 * np.eye(d), np.log(theta), 0.05 * np.eye(d))
-    transport = linearised_at(bound, theta, [landmarks.path], proposal)
-    state = first_state(bound, theta, landmarks.path)
-    benchmark(step, bound, SweepSettings(), transport, Unconstrained(bound.parameters), state, 1)
+    transport = linearised_at(bound, theta, [case.path], proposal)
+    transform, settings = Unconstrained(bound.parameters), SweepSettings(particles=particles)
+    return first_state(bound, theta, case.path), lambda state: step(bound, settings, transport, transform, state, 1)
+
+
+def test_whole_default_sweep(benchmark, landmarks):
+    """Conditional SMC with 25 particles, Metropolis, block move, six transport moves."""
+    state, move = _walker(landmarks)
+    benchmark(move, state)
+
+
+@pytest.mark.parametrize("n", [25, 500])
+def test_two_walkers_on_two_cores(benchmark, landmarks, n):
+    """Two walkers step together, as emcee lets them; the speed-up is against one walker by itself."""
+    state, move = _walker(landmarks, n)
+
+    def alone() -> float:
+        began = time.perf_counter()
+        for _ in range(10):
+            move(state)
+        return (time.perf_counter() - began) / 10.0
+
+    alone()
+    one = min(alone() for _ in range(5))
+    with ThreadPoolExecutor(2) as pool:
+        benchmark(lambda: list(pool.map(move, [state, state])))
+    benchmark.extra_info["speed_up"] = 2.0 * one / benchmark.stats["min"]

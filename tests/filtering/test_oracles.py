@@ -93,12 +93,15 @@ def test_thresholds_decide_when_ancestors_are_drawn(rail, sfc):
 
 
 def test_filtered_and_smoothed_means(rail, sfc):
-    """Last filtered mean, and means of trajectories drawn backward, against Kalman and Rauch-Tung-Striebel."""
+    """Last filtered mean, and means of trajectories drawn backward, against Kalman and Rauch-Tung-Striebel.
+
+    Both have a bias of the order of 1 / n: at n = 500 it is six standard errors of 1500 runs, here two.
+    """
     tables, model = rail
     mean, variance = kalman.smoother(model, *THETA)
     filtered, smoothed = np.empty(1500), np.empty((1500, T))
     for k in range(1500):
-        done = run_filter(tables, T, 500, sfc)
+        done = run_filter(tables, T, 4000, sfc)
         filtered[k] = done.mean()[-1, 0]
         smoothed[k] = draw_paths(tables, done, 1, sfc)[0, :, 0]
     assert_agrees(filtered, mean[-1], matters=0.02)
@@ -141,7 +144,7 @@ def _moments(paths, mean, covariance):
     ]
 
 
-@pytest.mark.parametrize("n", [5, 10, 20])
+@pytest.mark.parametrize("n", [5, 10, 20, 40])
 def test_conditional_sweeps_keep_the_exact_smoother(rail, n, sfc):
     tables, model = rail
     mean, covariance = kalman.path_posterior(model, *THETA)
@@ -224,7 +227,7 @@ def test_backward_sampling_has_the_exact_law_of_paths(chain, sfc):
     assert _p_value(np.array(found), paths, probability) > 1e-5
 
 
-@pytest.mark.parametrize("n", [2, 3, 8])
+@pytest.mark.parametrize("n", [2, 3, 8, 40])
 def test_conditional_sweeps_keep_the_exact_law_of_paths(chain, n, sfc):
     tables, paths, probability, _ = chain
     assert _p_value(_swept(tables, paths, probability, n, "conditional", sfc), paths, probability) > 1e-5

@@ -20,7 +20,7 @@ WEIGHTS = np.array([0.0, 0.3, 1e-12, 2.5, 0.0, 0.7, 1.0, 0.05, 0.45, 0.0])
 def count_children(scheme, weights, weight_sum, rng, repeats, counts, squares):
     """Sum the numbers of children of each particle, and their squares, over repeated resampling."""
     n = weights.size
-    ancestors, scratch, children = np.empty(n, np.int64), np.empty(n), np.empty(n)
+    ancestors, scratch, children = np.empty(n, np.int64), np.empty((2, n)), np.empty(n)
     for _ in range(repeats):
         resample(scheme, weights, weight_sum, rng, ancestors, scratch)
         for i in range(n):
@@ -113,13 +113,13 @@ def test_a_sum_above_that_of_the_weights_leads_to_no_zero_weight(scheme, excess,
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_one_particle_is_its_own_parent(scheme, rng):
     ancestors = np.full(1, -1, dtype=np.int64)
-    resample_once(SCHEMES[scheme], np.array([0.3]), 0.3, rng, ancestors, np.empty(1))
+    resample_once(SCHEMES[scheme], np.array([0.3]), 0.3, rng, ancestors, np.empty((2, 1)))
     assert ancestors[0] == 0
 
 
 def test_multinomial_leaves_the_kept_slot_alone(rng):
     ancestors = np.full(6, -1, dtype=np.int64)
-    multinomial_from(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 1.0, rng, 1, ancestors, np.empty(6))
+    multinomial_from(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 1.0, rng, 1, ancestors, np.empty((2, 6)))
     np.testing.assert_array_equal(ancestors, [-1, 2, 2, 2, 2, 2])
 
 
@@ -128,7 +128,7 @@ def test_free_ancestors_of_the_conditional_filter_are_independent(rng):
     weights, repeats = np.array([0.2, 0.5, 0.3]), 20_000
     ancestors, children = np.empty(3, dtype=np.int64), np.zeros((repeats, 3))
     for k in range(repeats):
-        multinomial_from(weights, 1.0, rng, 1, ancestors, np.empty(3))
+        multinomial_from(weights, 1.0, rng, 1, ancestors, np.empty((2, 3)))
         children[k] = np.bincount(ancestors[1:], minlength=3)
     observed = [np.count_nonzero((children == pattern).all(axis=1)) for pattern in _patterns()]
     expected = [repeats * stats.multinomial.pmf(pattern, 2, weights) for pattern in _patterns()]

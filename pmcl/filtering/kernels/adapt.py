@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pmcl.filtering.kernels.compile import kernel
-from pmcl.filtering.kernels.resampling import draw_index, last_positive, resample
+from pmcl.filtering.kernels.resampling import cumulate, draw_index, resample, search
 from pmcl.filtering.kernels.views import columns
 
 __all__ = ["gather", "particles_needed", "redraw"]
@@ -57,26 +57,14 @@ def _is_new(bins, key):
 
 
 @kernel
-def _adaptive(options, rng, particles, weights, weight_sum, ancestors, cumulated, bins):
+def _adaptive(options, rng, particles, weights, ancestors, cumulated, bins):
     """Draw parents one by one until they are enough for the bins that they occupy; return how many."""
-    n = weights.size
-    last = last_positive(weights)
-    value = 0.0
-    for i in range(n):
-        value += weights[i]
-        cumulated[i] = value
+    cumulate(weights, cumulated)
     for b in range(bins.size):
         bins[b] = 0
     drawn, occupied, enough = 0, 0, options.least
     while drawn < enough:
-        target = rng.random() * weight_sum
-        low, high = 0, last
-        while low < high:
-            middle = (low + high) // 2
-            if cumulated[middle] > target:
-                high = middle
-            else:
-                low = middle + 1
+        low = search(cumulated, rng)
         ancestors[drawn] = low
         drawn += 1
         if _is_new(bins, _bin_key(options, particles, low)):
@@ -100,11 +88,11 @@ def redraw(options, rng, state, size, n, weight_sum):
     """Resample the particles of `state` into ``state.before``; return their number, which may have changed."""
     particles, weights = columns(state.particles, size, n), state.weights[:n]
     if options.least < options.most:
-        count = _adaptive(options, rng, particles, weights, weight_sum, state.ancestors, state.rate, state.bins)
+        count = _adaptive(options, rng, particles, weights, state.ancestors, state.rate, state.bins)
     else:
         count = options.most
         if count == n:
-            resample(options.scheme, weights, weight_sum, rng, state.ancestors[:n], state.rate[:n])
+            resample(options.scheme, weights, weight_sum, rng, state.ancestors[:n], columns(state.rate, 2, n))
         else:
             for i in range(count):
                 state.ancestors[i] = draw_index(weights, weight_sum, rng)

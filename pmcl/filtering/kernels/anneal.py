@@ -103,7 +103,7 @@ def _keep(state, like, log_start, current, n, rng, weights, weight_sum):
     """Resample particles with what is known of them."""
     size = current.shape[0]
     ancestors, copied = state.ancestors[:n], columns(state.proposed, size, n)
-    resample(SYSTEMATIC, weights, weight_sum, rng, ancestors, state.rate[:n])
+    resample(SYSTEMATIC, weights, weight_sum, rng, ancestors, columns(state.rate, 2, n))
     gather(current, ancestors, n, copied, 0)
     for i in range(n):
         state.new_like[i], state.new_start[i] = like[ancestors[i]], log_start[ancestors[i]]

@@ -149,8 +149,8 @@ def one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scr
     `logp` (n,) receives the log density, so that over all slots of a row it adds up to that of :func:`reading_logpdf`;
     `low` and `high` (n,) the probabilities of a smaller, and of a smaller or equal reading (they differ where the
     reading has a probability of its own, as a clipped one does; NaN when the distribution function is not known).
-    `memory` (3, n) is kept from slot to slot of one row; every slot is asked for, in order. Returns whether the
-    slot was measured.
+    `memory` (3, n) and `scratch` are kept from slot to slot of one row; every slot is asked for, in order. Returns
+    whether the slot was measured.
     """
 
 

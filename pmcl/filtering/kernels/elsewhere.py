@@ -56,7 +56,7 @@ def look_elsewhere(tables, stack, anywhere, options, row, rng, state, mean, cova
     particles, spare = columns(state.particles, size, n), columns(state.spare, size, n)
     if kept > 0:
         ancestors = state.ancestors[:kept]
-        resample(SYSTEMATIC, state.weights[:n], numbers[WEIGHT_SUM], rng, ancestors, state.rate[:n])
+        resample(SYSTEMATIC, state.weights[:n], numbers[WEIGHT_SUM], rng, ancestors, columns(state.rate, 2, n))
         gather(particles, ancestors, kept, spare, 0)
     drawn = columns(state.particles, size, fresh)
     status, log_evidence, _ = draw_annealed(

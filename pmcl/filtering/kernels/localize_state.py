@@ -77,7 +77,9 @@ class FilterState(NamedTuple):
         Work space.
     log_weights, weights : ndarray, shape (N,)
         Normalised log weights, and weights of sum ``numbers[WEIGHT_SUM]``.
-    log_like, new_like, log_start, new_start, rate : ndarray, shape (N,)
+    log_like, new_like, log_start, new_start : ndarray, shape (N,)
+        Work space.
+    rate : ndarray, shape (2 N,)
         Work space.
     spread : ndarray, shape (D,)
         Work space.
@@ -147,7 +149,8 @@ def new_state(options: Options, size: int, rows: int) -> FilterState:
 
     return FilterState(
         floats(size * most), floats(size * most), floats(2 * size * most), floats(size * most),
-        floats(most), floats(most), floats(most), floats(most), floats(most), floats(most), floats(most), floats(size),
+        floats(most), floats(most), floats(most), floats(most), floats(most), floats(most), floats(2 * most),
+        floats(size),
         ints(most), ints(most), ints(most), ints(options.draws + 1), np.arange(options.draws, dtype=np.int64),
         floats(options.picks * most), floats(rows * most), ints(bins), floats(9),
     )  # fmt: skip

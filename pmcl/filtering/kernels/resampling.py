@@ -7,7 +7,11 @@ past the last particle of positive weight.
 
 from __future__ import annotations
 
-from pmcl.filtering.kernels.compile import kernel
+import math
+from typing import NamedTuple
+
+from pmcl.filtering.kernels.compile import generic, kernel
+from pmcl.filtering.kernels.random_numbers import exponentials_into
 
 __all__ = [
     "MULTINOMIAL",
@@ -15,10 +19,15 @@ __all__ = [
     "SCHEMES",
     "STRATIFIED",
     "SYSTEMATIC",
+    "AnyScheme",
+    "Independent",
+    "cumulate",
     "draw_index",
+    "draw_parents",
     "last_positive",
     "multinomial_into",
     "resample",
+    "search",
 ]
 
 MULTINOMIAL, SYSTEMATIC, STRATIFIED, RESIDUAL = 0, 1, 2, 3
@@ -50,33 +59,71 @@ def draw_index(weights, weight_sum, rng):
 
 
 @kernel
-def multinomial_into(weights, weight_sum, rng, first, ancestors, spacings):
+def cumulate(weights, cumulated):
+    """Write the running sum of `weights` (n,) into `cumulated`."""
+    value = 0.0
+    for j in range(weights.size):
+        value += weights[j]
+        cumulated[j] = value
+
+
+@kernel
+def search(cumulated, rng):
+    """Draw one index in O(log n), with probability proportional to the steps of `cumulated` (n,)."""
+    low, high = 0, cumulated.size - 1
+    target = rng.random() * cumulated[high]
+    while low < high:
+        middle = (low + high) // 2
+        if cumulated[middle] > target:
+            high = middle
+        else:
+            low = middle + 1
+    while low > 0 and cumulated[low] == cumulated[low - 1]:  # where rounding led past the last positive weight
+        low -= 1
+    return low
+
+
+@kernel
+def _merge(weights, targets, first, ancestors, cumulated):
+    """Find the particle whose share of the cumulated `weights` holds each of the ascending ``targets[first:]``.
+
+    Each turn moves on in one of the two lists. In which is a coin that no processor can foresee, so it is arithmetic
+    instead of a branch.
+    """
+    cumulate(weights, cumulated)
+    cumulated[last_positive(weights)] = math.inf
+    i, j = first, 0
+    while i < ancestors.size:
+        ancestors[i] = j
+        behind = cumulated[j] <= targets[i]
+        j += behind
+        i += not behind
+
+
+@kernel
+def multinomial_into(weights, weight_sum, rng, first, ancestors, scratch):
     """Draw ``ancestors[first:]`` independently with probabilities proportional to `weights` (n,), in ascending order.
 
     Sorted uniforms come from normalised exponential spacings, so the cost is O(n). As a set the draws are i.i.d.;
-    which slot holds which does not matter to particles that are exchangeable.
+    which slot holds which does not matter to particles that are exchangeable. `scratch` (2, n) is work space.
     """
-    n = ancestors.size
-    sum_of_spacings = rng.standard_exponential()
+    n, targets = ancestors.size, scratch[0]
+    exponentials_into(rng, targets, scratch[1])
+    value = -math.log(1.0 - rng.random())
     for i in range(first, n):
-        spacings[i] = sum_of_spacings
-        sum_of_spacings += rng.standard_exponential()
-    factor = weight_sum / sum_of_spacings
-    last = last_positive(weights)
-    j = 0
-    cumulated = weights[0]
+        spacing = targets[i]
+        targets[i] = value
+        value += spacing
+    factor = weight_sum / value
     for i in range(first, n):
-        target = spacings[i] * factor
-        while cumulated <= target and j < last:
-            j += 1
-            cumulated += weights[j]
-        ancestors[i] = j
+        targets[i] *= factor
+    _merge(weights, targets, first, ancestors, scratch[1])
 
 
 @kernel
 def resample(scheme, weights, weight_sum, rng, ancestors, scratch):
-    """Fill `ancestors` (n,) by one of the schemes; `scratch` (n,) is work space."""
-    n = ancestors.size
+    """Fill `ancestors` (m,) by one of the schemes; `scratch` (2, n) is work space, n >= m."""
+    n, targets = ancestors.size, scratch[0]
     if scheme == MULTINOMIAL:
         multinomial_into(weights, weight_sum, rng, 0, ancestors, scratch)
         return
@@ -86,28 +133,49 @@ def resample(scheme, weights, weight_sum, rng, ancestors, scratch):
         for i in range(n):
             expected = n * weights[i] / weight_sum
             copies = int(expected)
-            scratch[i] = expected - copies
-            residual_sum += scratch[i]
+            targets[i] = expected - copies
+            residual_sum += targets[i]
             for _ in range(copies):
                 if filled < n:
                     ancestors[filled] = i
                     filled += 1
         while filled < n:
             ancestors[filled] = (
-                draw_index(scratch, residual_sum, rng) if residual_sum > 0.0 else last_positive(weights)
+                draw_index(targets, residual_sum, rng) if residual_sum > 0.0 else last_positive(weights)
             )
             filled += 1
         return
-    last = last_positive(weights)
     step = weight_sum / n
     offset = rng.random()
-    j = 0
-    cumulated = weights[0]
     for i in range(n):
         if scheme == STRATIFIED:
             offset = rng.random()
-        target = (i + offset) * step
-        while cumulated <= target and j < last:
-            j += 1
-            cumulated += weights[j]
-        ancestors[i] = j
+        targets[i] = (i + offset) * step
+    _merge(weights, targets, 0, ancestors, scratch[1])
+
+
+class Independent(NamedTuple):
+    """Parents from `first` on are drawn independently (multinomial resampling)."""
+
+    first: int
+
+
+class AnyScheme(NamedTuple):
+    """Parents are drawn by the scheme of a number out of :data:`SCHEMES`, known only when the filter runs."""
+
+    number: int
+
+
+@generic
+def draw_parents(scheme, weights, weight_sum, rng, ancestors, scratch):
+    """Fill `ancestors` (n,) by a scheme. Its type decides what is compiled: sweeps need one scheme only."""
+
+
+@draw_parents.register(Independent, allocates=False)
+def _independent(scheme, weights, weight_sum, rng, ancestors, scratch):
+    multinomial_into(weights, weight_sum, rng, scheme.first, ancestors, scratch)
+
+
+@draw_parents.register(AnyScheme, allocates=False)
+def _by_number(scheme, weights, weight_sum, rng, ancestors, scratch):
+    resample(scheme.number, weights, weight_sum, rng, ancestors, scratch)

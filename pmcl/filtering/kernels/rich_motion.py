@@ -19,6 +19,7 @@ from pmcl.filtering.kernels.contract import (
     transition_logpdf,
 )
 from pmcl.filtering.kernels.motion import bend, unbend
+from pmcl.filtering.kernels.random_numbers import normals_into
 from pmcl.filtering.kernels.student import student_constant, student_logpdf
 from pmcl.filtering.kernels.vector_math import sincos_into
 from pmcl.models.rich_tables import RichMotion, WanderingMotion, WiderStart
@@ -48,66 +49,71 @@ def _grip(patches, x, y):
 
 
 @kernel
-def _noise(rng, tail):
-    z = rng.standard_normal()
-    if tail > 0.0:
-        shape = 0.5 / tail
-        z *= math.sqrt(shape / rng.standard_gamma(shape))
-    return z
-
-
-@kernel
-def _move(motion, t, rng, previous, current):
+def _move(motion, t, rng, previous, current, scratch):
     """Draw the pose; the turn may follow the fourth component of the state before."""
     mean, std, tail = motion.mean, motion.std, motion.tail
+    sine, cosine, noise = scratch[0], scratch[1], scratch[2:5]
     wanders = previous.shape[0] > 3
+    normals_into(rng, noise, sine)
+    if tail > 0.0:
+        shape = 0.5 / tail
+        for d in range(3):
+            for i in range(current.shape[1]):
+                noise[d, i] *= math.sqrt(shape / rng.standard_gamma(shape))
+    sincos_into(previous[2], sine, cosine)
     for i in range(current.shape[1]):
         grip = _grip(motion.patches, previous[0, i], previous[1, i])
         if motion.slip_weight > 0.0 and rng.random() < motion.slip_weight:
             grip *= 1.0 - motion.slip_share
-        f = grip * mean[t, 0] + std[t, 0] * _noise(rng, tail)
-        g = grip * mean[t, 1] + std[t, 1] * _noise(rng, tail)
-        turn = mean[t, 2] + std[t, 2] * _noise(rng, tail)
+        f = grip * mean[t, 0] + std[t, 0] * noise[0, i]
+        g = grip * mean[t, 1] + std[t, 1] * noise[1, i]
+        turn = mean[t, 2] + std[t, 2] * noise[2, i]
         if wanders:
             turn += motion.wander[t] * previous[3, i]
-        c, s = math.cos(previous[2, i]), math.sin(previous[2, i])
-        x, y, heading = previous[0, i], previous[1, i], previous[2, i]
-        current[0, i] = x + f * c - g * s
-        current[1, i] = y + f * s + g * c
-        current[2, i] = heading + turn
+        current[0, i] = previous[0, i] + f * cosine[i] - g * sine[i]
+        current[1, i] = previous[1, i] + f * sine[i] + g * cosine[i]
+        current[2, i] = previous[2, i] + turn
 
 
 @propagate.register(RichMotion, allocates=False)
 def _propagate(motion, t, rng, previous, current, scratch):
-    _move(motion, t, rng, previous, current)
+    _move(motion, t, rng, previous, current, scratch)
 
 
 @propagate.register(WanderingMotion, allocates=False)
 def _propagate_wandering(motion, t, rng, previous, current, scratch):
-    _move(motion, t, rng, previous, current)
-    keep = motion.keep[t]
+    _move(motion, t, rng, previous, current, scratch)
+    keep, noise = motion.keep[t], scratch[2:3]
     spread = math.sqrt(1.0 - keep * keep)
+    normals_into(rng, noise, scratch[0])
     for i in range(current.shape[1]):
-        current[3, i] = keep * previous[3, i] + spread * rng.standard_normal()
+        current[3, i] = keep * previous[3, i] + spread * noise[0, i]
 
 
 @kernel
-def _translation_logpdf(motion, t, ahead, aside, grip, constant):
-    """Return the log density of a displacement in the robot frame, slips included."""
+def _log_slip(motion):
+    """Return the logs of the probabilities that a step slips, and that it does not."""
+    slip = motion.slip_weight
+    return (math.log(slip) if slip > 0.0 else -math.inf), (math.log1p(-slip) if slip < 1.0 else -math.inf)
+
+
+@kernel
+def _translation_logpdf(motion, t, ahead, aside, grip, constant, log_slip):
+    """Return the log density of a displacement in the robot frame, slips included, but for the noise's scale."""
     mean, std, tail, slip = motion.mean, motion.std, motion.tail, motion.slip_weight
     f, g = (ahead - grip * mean[t, 0]) / std[t, 0], (aside - grip * mean[t, 1]) / std[t, 1]
     value = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant)
     if slip > 0.0:
         grip *= 1.0 - motion.slip_share
         f, g = (ahead - grip * mean[t, 0]) / std[t, 0], (aside - grip * mean[t, 1]) / std[t, 1]
-        slipped = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant) + math.log(slip)
+        slipped = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant) + log_slip[0]
         if slip < 1.0:
-            value += math.log1p(-slip)
+            value += log_slip[1]
             high, low = max(value, slipped), min(value, slipped)
             value = high + math.log1p(math.exp(low - high))
         else:
             value = slipped
-    return value - math.log(std[t, 0] * std[t, 1])
+    return value
 
 
 @kernel
@@ -118,7 +124,8 @@ def _pose_logpdf(motion, t, previous, current, logp, scratch):
     wanders = previous.shape[0] > 3
     plain = motion.tail == 0.0 and motion.slip_weight == 0.0
     w_forward, w_left, w_turn = 1.0 / motion.std[t, 0], 1.0 / motion.std[t, 1], 1.0 / std
-    gaussian = math.log(w_forward * w_left * w_turn) - 3.0 * _HALF_LOG_2PI
+    log_slip, log_scale = _log_slip(motion), math.log(w_forward * w_left * w_turn)
+    gaussian = log_scale - 3.0 * _HALF_LOG_2PI
     mean_forward, mean_left = motion.mean[t, 0], motion.mean[t, 1]
     for i in range(logp.size):
         dx, dy = current[0] - previous[0, i], current[1] - previous[1, i]
@@ -131,8 +138,8 @@ def _pose_logpdf(motion, t, previous, current, logp, scratch):
             f, g, h = (ahead - grip * mean_forward) * w_forward, (aside - grip * mean_left) * w_left, turn * w_turn
             logp[i] += gaussian - 0.5 * (f * f + g * g + h * h)
         else:
-            logp[i] += _translation_logpdf(motion, t, ahead, aside, grip, constant)
-            logp[i] += student_logpdf(turn * w_turn, motion.tail, constant) - math.log(std)
+            logp[i] += _translation_logpdf(motion, t, ahead, aside, grip, constant, log_slip) + log_scale
+            logp[i] += student_logpdf(turn * w_turn, motion.tail, constant)
 
 
 @transition_logpdf.register(RichMotion, allocates=False)
@@ -156,14 +163,15 @@ def _along_path(motion, n_steps, path, logp, scratch):
     """Add the density of each step; without a fourth component u is integrated out by a scalar Kalman filter."""
     sine, cosine = scratch[0], scratch[1]
     sincos_into(path[2], sine, cosine)
-    constant = student_constant(motion.tail)
+    constant, log_slip = student_constant(motion.tail), _log_slip(motion)
     wanders = path.shape[0] > 3
     guess, variance = 0.0, 1.0  # belief about u[t-1]
     for t in range(1, n_steps):
         dx, dy = path[0, t] - path[0, t - 1], path[1, t] - path[1, t - 1]
         c, s = cosine[t - 1], sine[t - 1]
         grip = _grip(motion.patches, path[0, t - 1], path[1, t - 1])
-        value = _translation_logpdf(motion, t, dx * c + dy * s, dy * c - dx * s, grip, constant)
+        value = _translation_logpdf(motion, t, dx * c + dy * s, dy * c - dx * s, grip, constant, log_slip)
+        value -= math.log(motion.std[t, 0] * motion.std[t, 1])
         turn, std = path[2, t] - path[2, t - 1] - motion.mean[t, 2], motion.std[t, 2]
         wander, keep = motion.wander[t], motion.keep[t]
         if wanders:
@@ -227,7 +235,7 @@ def _linearise_wandering(motion, t, before, after, jacobian, offset, precision):
 
 
 def _rows(table):
-    return 4
+    return 5
 
 
 def _bent_state(motion, t, reference, after, deviation, out):

@@ -288,9 +288,15 @@ def _one_echo(sensor, z, centre, std):
 
 
 @kernel
-def _add_beam(sensor, beam, first, stride, pose, logp, scratch, own, inverses, cosines, previous_inverses):
-    """Add the log density of one beam's readings; columns without a reading are left alone."""
+def _add_beam(sensor, beam, first, stride, logp, scratch):
+    """Add the log density of one beam's readings, all cast before; columns without a reading are left alone."""
     n = logp.size
+    n_beams, begin = sensor.reading.shape[1], _CASTING + sensor.wall_start.size
+    own = scratch[begin : begin + _OWN]
+    inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
+    cosines = scratch[begin + _OWN + n_beams : begin + _OWN + 2 * n_beams]
+    previous_inverses = scratch[begin + _OWN + 2 * n_beams : begin + _OWN + 3 * n_beams]
+    pose = own[_POSE : _POSE + 3]
     _expect(sensor, beam, first, stride, n, previous_inverses[beam], own, inverses[beam])
     z, echo, keep, rest, mixed, draft = own[_Z], own[_ECHO], own[_KEEP], own[_REST], own[_SUM], own[_DRAFT]
     _echo_into(sensor, n, z, own[_CENTRE], own[_WIDTH], echo)
@@ -324,8 +330,8 @@ def _delayed(sensor, first, stride, n, previous, current, pose):
 
 
 @kernel
-def _add_readings(sensor, first, stride, only, previous, current, logp, scratch):
-    """Add the log densities of all beams; `only` >= 0 limits them to one."""
+def _cast_all(sensor, first, stride, previous, current, scratch):
+    """Cast all beams of one row, or of each column's own row, and keep the lengths in `scratch`."""
     n_beams, begin = sensor.reading.shape[1], _CASTING + sensor.wall_start.size
     own = scratch[begin : begin + _OWN]
     inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
@@ -335,16 +341,22 @@ def _add_readings(sensor, first, stride, only, previous, current, logp, scratch)
     row = first if stride == 0 else -1
     if _any(sensor.correlation):
         _cast_beams(sensor, previous, row, True, scratch, own, previous_inverses, cosines)
-    _delayed(sensor, first, stride, logp.size, previous, current, pose)
+    _delayed(sensor, first, stride, current.shape[1], previous, current, pose)
     _cast_beams(sensor, pose, -1 if _any(sensor.talk_weight) else row, False, scratch, own, inverses, cosines)
-    for beam in range(n_beams):
-        if (row < 0 or not math.isnan(sensor.reading[row, beam])) and (only < 0 or beam == only):
-            _add_beam(sensor, beam, first, stride, pose, logp, scratch, own, inverses, cosines, previous_inverses)
+
+
+@kernel
+def _add_readings(sensor, first, stride, previous, current, logp, scratch):
+    """Add the log densities of all beams."""
+    _cast_all(sensor, first, stride, previous, current, scratch)
+    for beam in range(sensor.reading.shape[1]):
+        if stride > 0 or not math.isnan(sensor.reading[first, beam]):
+            _add_beam(sensor, beam, first, stride, logp, scratch)
 
 
 @reading_logpdf.register(RichRangeBeams, allocates=False)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
-    _add_readings(sensor, t, 0, -1, previous, current, logp, scratch)
+    _add_readings(sensor, t, 0, previous, current, logp, scratch)
 
 
 @path_reading_logpdf.register(RichRangeBeams, allocates=False)
@@ -355,7 +367,7 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
         previous[d, 0] = path[d, 0]
         for t in range(1, n_steps):
             previous[d, t] = path[d, t - 1]
-    _add_readings(sensor, 0, 1, -1, previous, path, logp, scratch)
+    _add_readings(sensor, 0, 1, previous, path, logp, scratch)
 
 
 @reading_count.register(RichRangeBeams, allocates=False)
@@ -386,12 +398,14 @@ def _echo_below(sensor, z, centre, std):
 @one_reading.register(RichRangeBeams, allocates=False)
 def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
     beam = slot - t * sensor.reading.shape[1]
+    if beam == 0:
+        _cast_all(sensor, t, 0, previous, current, scratch)
     z = sensor.reading[t, beam]
     if math.isnan(z):
         return False
     for i in range(logp.size):
         logp[i] = 0.0
-    _add_readings(sensor, t, 0, beam, previous, current, logp, scratch)
+    _add_beam(sensor, beam, t, 0, logp, scratch)
     n_beams, begin = sensor.reading.shape[1], _CASTING + sensor.wall_start.size
     own = scratch[begin : begin + _OWN]
     inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
@@ -423,10 +437,11 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
             less = min(max((z - begins) / (longest - begins), 0.0), 1.0) if begins < longest else 0.0
             less = 0.0 if longest - begins <= _LEAST_DETOUR * longest else less
             below, upto = below + weight * (less - below), upto + weight * ((1.0 if beyond else less) - upto)
-        room = max(min(expected, longest), _LEAST_ROOM)
-        less = math.expm1(-min(max(z, 0.0), room) / sensor.short_length) / math.expm1(-room / sensor.short_length)
         weight = sensor.short_weight[beam]
-        below, upto = below + weight * (less - below), upto + weight * (less - upto)
+        if weight != 0.0:
+            room = max(min(expected, longest), _LEAST_ROOM)
+            less = math.expm1(-min(max(z, 0.0), room) / sensor.short_length) / math.expm1(-room / sensor.short_length)
+            below, upto = below + weight * (less - below), upto + weight * (less - upto)
         weight = sensor.no_echo_weight[beam]
         below, upto = (1.0 - weight) * below, (1.0 - weight) * upto + (weight if beyond else 0.0)
         weight = sensor.outlier_weight[beam]

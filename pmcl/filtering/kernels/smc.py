@@ -28,7 +28,7 @@ from pmcl.filtering.kernels.contract import (
     state_size,
     transition_logpdf,
 )
-from pmcl.filtering.kernels.resampling import MULTINOMIAL, draw_index, multinomial_into, resample
+from pmcl.filtering.kernels.resampling import Independent, draw_index, draw_parents
 from pmcl.filtering.kernels.tuples import (
     any_look_back,
     any_reading,
@@ -64,6 +64,10 @@ __all__ = [
     "sweep",
     "work_rows",
 ]
+
+# How many particles are weighed when one state of a trajectory is drawn backward.
+_WEIGHED = 32
+
 
 @kernel
 def work_rows(tables):
@@ -104,17 +108,18 @@ def _forward(
     last time: whether it was does not depend on the particles, so this keeps the conditional kernel exact.
 
     `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `steps` (T, 2) receives the log
-    of each step's evidence increment and the effective sample size.
+    of each step's evidence increment and the effective sample size; `ancestors` (T, n) the parents.
     Returns (status, time, log evidence).
     """
     size, n = particles.shape[1], particles.shape[2]
-    weights, spacings = scratch[0], scratch[1]
-    work = scratch[2:]
+    # What resampling needs is no longer needed when a model uses its scratch space.
+    weights, draft, work = scratch[0], scratch[1:3], scratch[1:]
     log_evidence, log_norm = 0.0, math.log(n)
     weighted = False
     weight_sum = float(n)
     for t in range(n_steps):
         current, logw = particles[t], log_weights[t]
+        parent = ancestors[t]
         if t == 0:
             draw_start(tables.start, rng, current)
             before = current
@@ -123,18 +128,19 @@ def _forward(
         else:
             before = particles[t - 1]
             if weighted and (conditional or steps[t - 1, 1] <= threshold * n):
+                draw_parents(scheme, weights, weight_sum, rng, parent, draft)
                 if conditional:
-                    multinomial_into(weights, weight_sum, rng, 1, ancestors, spacings)
-                    ancestors[0] = 0
-                else:
-                    resample(scheme, weights, weight_sum, rng, ancestors, spacings)
+                    parent[0] = 0
                 for d in range(size):
                     source, gathered = particles[t - 1, d], previous[d]
                     for i in range(n):
-                        gathered[i] = source[ancestors[i]]
+                        gathered[i] = source[parent[i]]
                 before = previous
                 weighted = False
                 log_norm = math.log(n)
+            else:
+                for i in range(n):
+                    parent[i] = i
             propagate(tables.motion, t, rng, before, current, work)
             for i in range(n):
                 logw[i] = log_weights[t - 1, i] if weighted else 0.0
@@ -159,32 +165,58 @@ def _forward(
 
 
 @kernel
-def _backward(tables, rng, n_steps, particles, log_weights, path, replicated, scratch):
+def _state_before(tables, rng, t, ancestor, particles, log_weights, path, drawn, states, work):
+    """Choose the state at t that leads to ``path[t + 1]`` (eq. 5); return (status, which).
+
+    Its weight is w_t p(x_t+1 | x_t), times the density of the next readings where those look back. Of many particles
+    not all are weighed, but the ancestor in the filter and some others drawn evenly. The ancestor of a state has the
+    law of eq. 5 itself, and a choice among it and rivals by their weights leaves that law as it is (conditional
+    importance resampling; compare Dau and Chopin, On backward smoothing algorithms, 2023).
+    """
+    size, n, count = particles.shape[1], particles.shape[2], drawn.size
+    before, after, log_b, b = states[0], states[1], work[0], work[1]
+    for j in range(count):
+        drawn[j] = j if count == n else min(int(rng.random() * n), n - 1)
+    if count < n:
+        drawn[0] = ancestor
+    for d in range(size):
+        source, target = particles[t, d], before[d]
+        for j in range(count):
+            target[j] = source[drawn[j]]
+    for j in range(count):
+        log_b[j] = log_weights[t, drawn[j]]
+    transition_logpdf(tables.motion, t + 1, before, path[t + 1], log_b, work[2:])
+    if any_look_back(tables.sensors) and any_reading(tables.sensors, t + 1):
+        for d in range(size):
+            for j in range(count):
+                after[d, j] = path[t + 1, d]
+        sum_logpdf(tables.sensors, t + 1, before, after, log_b, work[2:])
+    status, _, b_sum = normalise(log_b, b)
+    if status != FINE:
+        return (NO_ANCESTOR if status == ALL_ZERO else status), 0
+    return FINE, drawn[draw_index(b, b_sum, rng)]
+
+
+@kernel
+def _backward(tables, rng, n_steps, particles, log_weights, ancestors, path, weights, drawn, states, work):
     """Draw one trajectory backward in time (eqs. 3 to 7) into `path` (T, D).
 
-    The last state is drawn with the filter's weights, each earlier one with weight w_t p(x_t+1 | x_t), times the
-    density of the next readings where those look back. Returns (status, time, number of states that differ from what
-    `path` held).
+    The last state is drawn with the filter's weights. `weights` (n,), `drawn` (m,), `states` (2, D, m) and `work`
+    (rows, m) are work space; m is how many particles are weighed for each other state, at most n.
+    Returns (status, time, number of states that differ from what `path` held).
     """
-    size, n = particles.shape[1], particles.shape[2]
-    log_b, weights = scratch[0], scratch[1]
-    work = scratch[2:]
-    look_back = any_look_back(tables.sensors)
-    changed = 0
+    size, changed = particles.shape[1], 0
+    status, _, weight_sum = normalise(log_weights[n_steps - 1], weights)
+    if status != FINE:
+        return status, n_steps - 1, changed
+    chosen = draw_index(weights, weight_sum, rng)
     for t in range(n_steps - 1, -1, -1):
-        for i in range(n):
-            log_b[i] = log_weights[t, i]
         if t < n_steps - 1:
-            transition_logpdf(tables.motion, t + 1, particles[t], path[t + 1], log_b, work)
-            if look_back and any_reading(tables.sensors, t + 1):
-                for d in range(size):
-                    for i in range(n):
-                        replicated[d, i] = path[t + 1, d]
-                sum_logpdf(tables.sensors, t + 1, particles[t], replicated, log_b, work)
-        status, _, weight_sum = normalise(log_b, weights)
+            status, chosen = _state_before(
+                tables, rng, t, ancestors[t + 1, chosen], particles, log_weights, path, drawn, states, work
+            )  # fmt: skip
         if status != FINE:
-            return (NO_ANCESTOR if status == ALL_ZERO else status), t, changed
-        chosen = draw_index(weights, weight_sum, rng)
+            return status, t, changed
         different = False
         for d in range(size):
             if path[t, d] != particles[t, d, chosen]:
@@ -196,47 +228,51 @@ def _backward(tables, rng, n_steps, particles, log_weights, path, replicated, sc
 
 @entry
 def filter_pass(tables, rng, n_steps, n, scheme, threshold):
-    """Filter; return (status, time, log evidence, particles (T, D, n), log weights (T, n), steps (T, 2))."""
+    """Filter; `scheme` is an :class:`~pmcl.filtering.kernels.resampling.AnyScheme`.
+
+    Returns (status, time, log evidence, particles (T, D, n), log weights (T, n), steps (T, 2), ancestors (T, n)).
+    """
     size = state_size(tables.motion)
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps = np.empty((n_steps, 2))
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.int32)
     status, t, log_evidence = _forward(
         tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0),
-        particles, log_weights, steps,
-        np.empty(n, np.int64), np.empty((size, n)), np.empty((work_rows(tables), n)),
+        particles, log_weights, steps, ancestors, np.empty((size, n)), np.empty((work_rows(tables), n)),
     )  # fmt: skip
-    return status, t, log_evidence, particles, log_weights, steps
+    return status, t, log_evidence, particles, log_weights, steps, ancestors
 
 
 @entry
 def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
-    """Filter, taking the readings of a row one after another.
+    """Do the same, taking the readings of a row one after another.
 
     Returns what :func:`filter_pass` does, then log score, low and high (N,) of each slot (see
     :class:`~pmcl.filtering.kernels.weighing.OneByOne`); NaN where nothing was measured.
     """
     size = state_size(tables.motion)
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps = np.empty((n_steps, 2))
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.int32)
     slots = count_slots(tables.sensors, n_steps)
     log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
     status, t, log_evidence = _forward(
         tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)),
         OneByOne(n_steps, log_score, low, high, np.empty((6, n))), particles, log_weights, steps,
-        np.empty(n, np.int64), np.empty((size, n)), np.empty((work_rows(tables), n)),
+        ancestors, np.empty((size, n)), np.empty((work_rows(tables), n)),
     )  # fmt: skip
-    return status, t, log_evidence, particles, log_weights, steps, log_score, low, high
+    return status, t, log_evidence, particles, log_weights, steps, ancestors, log_score, low, high
 
 
 @entry
-def sample_backward(tables, rng, particles, log_weights, n_paths):
+def sample_backward(tables, rng, particles, log_weights, ancestors, n_paths):
     """Draw trajectories from a filter pass; return (status, time, paths (n_paths, T, D))."""
-    n_steps, size = particles.shape[0], particles.shape[1]
-    n = particles.shape[2]
-    paths = np.zeros((n_paths, n_steps, size))
-    replicated, scratch = np.empty((size, n)), np.empty((work_rows(tables), n))
+    n_steps, size, n = particles.shape
+    count = min(n, _WEIGHED)
+    drawn, states, work = np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
+    paths, weights = np.zeros((n_paths, n_steps, size)), np.empty(n)
     for k in range(n_paths):
-        status, t, _ = _backward(tables, rng, n_steps, particles, log_weights, paths[k], replicated, scratch)
+        status, t, _ = _backward(
+            tables, rng, n_steps, particles, log_weights, ancestors, paths[k], weights, drawn, states, work
+        )
         if status != FINE:
             return status, t, paths
     return FINE, 0, paths
@@ -251,25 +287,28 @@ def sweep(tables, rng, n_steps, n, conditional, path):
     """
     size = path.shape[1]
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps, previous = np.empty((n_steps, 2)), np.empty((size, n))
+    steps, previous, ancestors = np.empty((n_steps, 2)), np.empty((size, n)), np.empty((n_steps, n), np.int32)
     scratch = np.empty((work_rows(tables), n))
     status, t, log_evidence = _forward(
-        tables, rng, n_steps, MULTINOMIAL, 1.0, conditional, path, AllAtOnce(0.0), particles, log_weights, steps,
-        np.empty(n, np.int64), previous, scratch,
+        tables, rng, n_steps, Independent(1 if conditional else 0), 1.0, conditional, path, AllAtOnce(0.0),
+        particles, log_weights, steps, ancestors, previous, scratch,
     )  # fmt: skip
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
     # Copies are loops: numba compiles four seconds of error messages for each assignment of a slice.
-    drawn = np.empty((n_steps, size))
+    new, count = np.empty((n_steps, size)), min(n, _WEIGHED)
     for t in range(n_steps):
         for d in range(size):
-            drawn[t, d] = path[t, d]
-    status, t, changed = _backward(tables, rng, n_steps, particles, log_weights, drawn, previous, scratch)
+            new[t, d] = path[t, d]
+    drawn, states, work = np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
+    status, t, changed = _backward(
+        tables, rng, n_steps, particles, log_weights, ancestors, new, scratch[0], drawn, states, work
+    )
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
     for s in range(n_steps):
         for d in range(size):
-            path[s, d] = drawn[s, d]
+            path[s, d] = new[s, d]
     effective, measured = 0.0, 0
     for s in range(n_steps):
         if steps[s, 0] != 0.0:
