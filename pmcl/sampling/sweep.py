@@ -213,7 +213,7 @@ def _sweep(
     log_scale = state.log_scale
     if transport is not None and settings.transport_moves > 0 and rows == everything:
         theta, moved, value, walked, jumped, refreshed = transport_moves(
-            bound, theta, paths, value, transport, transform, settings.transport_moves, math.exp(log_scale), rng
+            bound, theta, tables, paths, value, transport, transform, settings.transport_moves, math.exp(log_scale), rng
         )
         if settings.gain > 0.0:
             log_scale += 4.0 * settings.gain * (walked - WALK_ACCEPTANCE)

@@ -18,6 +18,7 @@ linearised model knows where it may go.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,11 +61,15 @@ class Proposal:
     centre: Float | None = None
     spread: Float | None = None
 
+    @functools.cached_property
+    def _whitening(self) -> Float:
+        assert self.spread is not None
+        return np.asarray(solve_triangular(self.spread, np.eye(self.spread.shape[0]), lower=True))
+
     def log_density(self, u: Float) -> float:
         """Return the log density of the independent proposal at u, up to a constant."""
         assert self.centre is not None
-        assert self.spread is not None
-        z = solve_triangular(self.spread, u - self.centre, lower=True, check_finite=False)
+        z = self._whitening @ (u - self.centre)
         return -0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
 
 
@@ -134,16 +139,16 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
         proposal,
         tuple(tables.sensors for tables in all_tables),
     )
-    return transport if _factorisations(bound, theta, transport) is not None else None
+    made_there = _factorisations(all_tables, transport.geometries, transport.references)
+    return None if made_there is None else transport
 
 
-def _factorisations(bound: BoundModel, theta: Float, transport: Transport) -> list[Any] | None:
-    all_tables = bound.tables(theta)
+def _factorisations(
+    all_tables: Sequence[Tables], geometries: Sequence[tuple[Any, ...]], references: Sequence[Float]
+) -> list[Any] | None:
     made = [
         factorise(tables, geometry, reference)
-        for tables, geometry, reference in zip(
-            all_tables, transport.geometries_at(all_tables), transport.references, strict=True
-        )
+        for tables, geometry, reference in zip(all_tables, geometries, references, strict=True)
     ]
     return made if all(math.isfinite(one[0]) for one in made) else None
 
@@ -151,6 +156,7 @@ def _factorisations(bound: BoundModel, theta: Float, transport: Transport) -> li
 def transport_moves(
     bound: BoundModel,
     theta: Float,
+    all_tables: Sequence[Tables],
     paths: Sequence[Float],
     log_joint: float,
     transport: Transport,
@@ -167,6 +173,8 @@ def transport_moves(
         The model bound to its logs.
     theta : ndarray, shape (d,)
         Current parameters.
+    all_tables : sequence of Tables
+        Their coefficient tables, one for each log.
     paths : sequence of ndarray, shape (T_l, D)
         Current trajectories over all rows.
     log_joint : float
@@ -187,10 +195,12 @@ def transport_moves(
     TransportResult
         Cost: O(T D^3) for each proposal.
     """
-    now = _factorisations(bound, theta, transport)
+    geometries = transport.geometries_at(all_tables)
+    now = _factorisations(all_tables, geometries, transport.references)
     if now is None:
         return TransportResult(theta, list(paths), log_joint, 0.0, math.nan, 0.0)
-    paths, log_joint, refreshed = _redrawn(bound, theta, paths, transport, rng)
+    paths, log_joint, refreshed = _redrawn(all_tables, geometries, transport.references, paths, rng)
+    log_joint += bound.log_prior(theta)
     proposal = transport.proposal
     u = transform.to_line(theta)
     _, log_jacobian = transform.from_line(u)
@@ -212,11 +222,11 @@ def transport_moves(
         prior = bound.log_prior(theta_new)
         if not prior > -math.inf:
             continue
-        all_tables = bound.tables(theta_new)
+        tables_new = bound.tables(theta_new)
         trials = [
             transport_trial(tables, geometry, reference, path, *one[1:4])
             for tables, geometry, reference, path, one in zip(
-                all_tables, transport.geometries_at(all_tables), transport.references, paths, now, strict=True
+                tables_new, transport.geometries_at(tables_new), transport.references, paths, now, strict=True
             )
         ]
         joint_new = prior + math.fsum(trial[0] for trial in trials)
@@ -233,14 +243,15 @@ def transport_moves(
 
 
 def _redrawn(
-    bound: BoundModel, theta: Float, paths: Sequence[Float], transport: Transport, rng: np.random.Generator
+    all_tables: Sequence[Tables],
+    geometries: Sequence[tuple[Any, ...]],
+    references: Sequence[Float],
+    paths: Sequence[Float],
+    rng: np.random.Generator,
 ) -> tuple[list[Float], float, float]:
-    """Redraw all paths in blocks with boundaries chosen anew; return (paths, log joint, share accepted)."""
-    new, log_joint, accepted = [], bound.log_prior(theta), []
-    all_tables = bound.tables(theta)
-    for tables, geometry, reference, old in zip(
-        all_tables, transport.geometries_at(all_tables), transport.references, paths, strict=True
-    ):
+    """Redraw all paths in blocks with boundaries chosen anew; return (paths, their log density, share accepted)."""
+    new, log_density, accepted = [], 0.0, []
+    for tables, geometry, reference, old in zip(all_tables, geometries, references, paths, strict=True):
         n_steps = old.shape[0]
         inner = np.arange(1 + rng.integers(_BLOCK), n_steps, _BLOCK)
         starts = np.concatenate([[0], inner, [n_steps]]).astype(np.int64)
@@ -249,6 +260,6 @@ def _redrawn(
             tables, geometry, reference, path, starts, noise, np.log(rng.random(starts.size - 1))
         )
         new.append(path)
-        log_joint += value
+        log_density += value
         accepted.append(share)
-    return new, log_joint, float(np.mean(accepted))
+    return new, log_density, float(np.mean(accepted))

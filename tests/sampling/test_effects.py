@@ -97,8 +97,9 @@ def test_transport_moves_carry_parameters_and_path_together(name, rng):
     assert transport is not None
     value = bound.log_prior(theta) + log_joint(bound.tables(theta)[0], path)
     sfc = make_rng(int(rng.integers(2**62)))
-    assert transport_moves(bound, theta, [path], value, transport, transform, 20, 0.0, sfc).walked == 1.0
-    made = transport_moves(bound, theta, [path], value, transport, transform, 150, 1.0, sfc)
+    tables = bound.tables(theta)
+    assert transport_moves(bound, theta, tables, [path], value, transport, transform, 20, 0.0, sfc).walked == 1.0
+    made = transport_moves(bound, theta, tables, [path], value, transport, transform, 150, 1.0, sfc)
     assert made.walked > 0.01
     assert made.refreshed >= 0.0
     assert (transform.to_line(made.theta) != u).all()
@@ -136,7 +137,8 @@ def test_without_the_moved_readings_moves_of_the_mount_are_hardly_accepted(rng):
     shares = []
     for one in (transport, replace(transport, sensors=())):
         sfc = make_rng(7)
-        shares.append(transport_moves(bound, theta, [path], value, one, transform, 300, 1.0, sfc).walked)
+        made = transport_moves(bound, theta, bound.tables(theta), [path], value, one, transform, 300, 1.0, sfc)
+        shares.append(made.walked)
     assert shares[0] > 3.0 * shares[1]
     assert shares[0] > 0.1
 
@@ -160,8 +162,8 @@ def test_effects_are_calibrated_jointly(given, tmp_path):
     ]
     data, draws = _calibrated(log, *effects)
     for name, truth in log.true_theta.items():
-        low, high = np.quantile(draws[name], [0.002, 0.998])
-        assert low < truth < high, name
+        # Some 15 numbers in all: by chance one is as far off as this in a log of a thousand.
+        assert abs(truth - draws[name].mean()) < 4.0 * draws[name].std(), name
         assert chain_standard_error(draws[name][..., None], 5)[0] < 0.5 * draws[name].std()
     write_posterior(data, tmp_path / "posterior.nc")
     back = read_posterior(tmp_path / "posterior.nc")
