@@ -122,15 +122,19 @@ def sum_up(results: Path) -> None:
         named, in_set = row["right_name"] == "1", row["in_the_set"] == "1"
         named_formula = FORMULA in row["found"]
         wrong = row["verdict"] == "explained" and not in_set and not named_formula
-        tally.setdefault(f"{row['kind']} {row['magnitude']}".strip(), []).append((found, named, in_set, wrong))
+        sure = wrong and not row["twins"].strip(" +/")
+        tally.setdefault(f"{row['kind']} {row['magnitude']}".strip(), []).append((found, named, in_set, wrong, sure))
         print(
             f"{row['place']:6} {row['hidden'] or '-':42} {row['magnitude']:12} {row['verdict']:17} "
             f"{'NAME' if named else 'set' if in_set else '':4} {float(row['seconds']):4.0f} s  {row['found']}"
             f"{' (' + row['twins'] + ')' if row['twins'].strip(' +/') else ''}"
         )
     for title, flags in sorted(tally.items()):
-        found, named, in_set, wrong = (sum(column) for column in zip(*flags, strict=True))
-        print(f"{title}: {len(flags)} logs, found {found}, named {named}, or in the set {in_set}, wrong {wrong}")
+        found, named, in_set, wrong, sure = (sum(column) for column in zip(*flags, strict=True))
+        print(
+            f"{title}: {len(flags)} logs, found {found}, named {named}, or in the set {in_set}, "
+            f"wrong {wrong}, of these without naming alternatives {sure}"
+        )
 
 
 def main() -> None:

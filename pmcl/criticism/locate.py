@@ -50,6 +50,8 @@ def locate(alarm: Alarm, found: Evidence, labels: tuple[str, ...], scores: Float
         everything = {**found.of_readings, **{k: v[made.time] for k, v in found.of_rows._asdict().items()}}
         column = everything[name][mine] if name in everything else None
         channel, beams = feature.kind, _worst_channels(made.channel[mine], residual, feature.channel)
+    if column is not None and feature.covariate.startswith("|"):
+        column = np.abs(column)
     interval = _worst_interval(column, residual) if column is not None else (float("nan"), float("nan"))
     when = _worst_interval(time.astype(float), residual)
     return Unexplained(

@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from pmcl.criticism.alarms import Judgement
 from pmcl.criticism.result import Estimate, FoundEffect, Step, Unexplained
+from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
-__all__ = ["EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "called", "sentence_of", "verdict_of"]
+__all__ = [
+    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "called", "channels_of", "sentence_of", "verdict_of",
+]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
 
@@ -25,6 +28,14 @@ def called(effect: Effect | FoundEffect) -> str:
     return f"{effect.name} ({place})" if place else effect.name
 
 
+def channels_of(one: Unexplained, log: RobotLog) -> str:
+    """Return the beams or landmarks of a disagreement, landmarks by their names in the log; empty for all."""
+    if not one.channel.startswith("landmark") or "landmark" not in log.dataset.coords:
+        return ", ".join(map(str, one.beams))
+    names = log.dataset["landmark"].values
+    return ", ".join(str(names[k]) for k in one.beams)
+
+
 def verdict_of(found: Sequence[FoundEffect], last: Judgement) -> str:
     """Return the verdict from what was accepted and what the final model still leaves unusual."""
     if last.raised and last.p_value <= (_REMAINS if found else _ALONE):
@@ -39,6 +50,7 @@ def sentence_of(
     steps: Sequence[Step],
     before: Mapping[str, Estimate],
     after: Mapping[str, Estimate],
+    log: RobotLog,
 ) -> str:
     """Return the verdict in one sentence for a robot engineer."""
     parts = []
@@ -54,7 +66,10 @@ def sentence_of(
         return f"No missing effect: nothing about this log is unusual under the model{weak}"
     if verdict == UNKNOWN:
         worst = unexplained[0]
-        where = worst.channel + (f" of {', '.join(map(str, worst.beams))}" if worst.beams else "")
+        kind = "landmark" if worst.channel.startswith("landmark") else "beam"
+        where = worst.channel
+        if worst.beams:
+            where += f" of {kind}{'s' if len(worst.beams) > 1 else ''} {channels_of(worst, log)}"
         depends = f", depending on {worst.covariate}" if worst.covariate else ""
         rest = "something more is" if found else "something is"
         parts.append(

@@ -355,7 +355,7 @@ class _Loop:
         del settings["workers"]  # the result does not depend on it
         return Criticism(
             verdict=verdict,
-            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after),
+            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log),
             effects=found,
             unexplained=unexplained,
             steps=tuple(self.steps),

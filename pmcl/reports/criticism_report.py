@@ -6,6 +6,7 @@ import math
 import os
 
 from pmcl.criticism.result import Candidate, Criticism, Estimate
+from pmcl.criticism.verdict import channels_of
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
 from pmcl.reports.html import embedded, page, write_page
 from pmcl.reports.posterior_report import Picture
@@ -35,7 +36,7 @@ def write_criticism_report(found: Criticism, path: str | os.PathLike[str]) -> No
         sentence=found.sentence,
         good=found.verdict != "unknown effect",
         effects=found.effects,
-        unexplained=found.unexplained,
+        unexplained=[(one, channels_of(one, found.log)) for one in found.unexplained],
         notes=found.notes,
         number=_number,
         parameters=_parameters(found),
