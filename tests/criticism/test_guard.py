@@ -8,7 +8,7 @@ import pytest
 from pmcl.criticism.guard import lost_at, particles_that_follow
 from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import predict_readings
+from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot
@@ -56,3 +56,15 @@ def test_a_missing_effect_of_one_channel_is_no_lost_robot(log):
     theta = np.array([NOISE[name] for name in bound.names])
     theta[3] = 0.15
     assert lost_at(predict_readings(bound.tables(theta)[0], 120, 500, make_rng(1)), 120) is None
+
+
+@pytest.mark.parametrize(("landmarks", "lost"), [(2, None), (4, 30)])
+def test_one_row_gives_a_loss_away_only_by_several_landmarks(landmarks, lost):
+    """Range and bearing of two landmarks can both be far off when the model misses something; of four they are not."""
+    row, channel, kind = (
+        part.ravel() for part in np.meshgrid(np.arange(60), np.arange(landmarks), [0, 1], indexing="ij")
+    )
+    seen = np.where(row == 30, 1e-9, 0.5)
+    nothing = np.zeros(row.size)
+    made = Predictions(None, nothing, kind, channel, row, ("range", "bearing"), nothing, nothing, seen, seen)
+    assert lost_at(made, 60) == lost
