@@ -88,7 +88,7 @@ def redraw(options, rng, state, size, n, weight_sum):
     """Resample the particles of `state` into ``state.before``; return their number, which may have changed."""
     particles, weights = columns(state.particles, size, n), state.weights[:n]
     if options.least < options.most:
-        count = _adaptive(options, rng, particles, weights, state.ancestors, state.rate, state.bins)
+        count = _adaptive(options, rng, particles, weights, state.ancestors, state.rate[:n], state.bins)
     else:
         count = options.most
         if count == n:
