@@ -21,7 +21,7 @@ _WINDOW, _CONTRADICTED = 12, 2.5
 # several beams or landmarks are as far off as this. Two landmarks can be that far off when the model misses something.
 _ROW_CONTRADICTED, _ROW_CHANNELS = 4.5, 4
 # Filters of n and 4 n particles that follow the robot agree on a window to within some nats.
-_DISAGREEMENT = 60.0
+_DISAGREEMENT, _SPAN = 60.0, 20
 
 
 def lost_at(made: Predictions, n_steps: int) -> int | None:
@@ -53,6 +53,8 @@ def lost_at(made: Predictions, n_steps: int) -> int | None:
 def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed: int) -> tuple[int, str]:
     """Check that a filter follows the robot, by a second one of four times as many particles and another seed.
 
+    Where the two do not agree, a third filter, as large as the second, must agree with that one.
+
     Returns
     -------
     particles : int
@@ -63,27 +65,37 @@ def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed:
     Raises
     ------
     FilterError
-        When both lose the robot.
+        When the larger filters lose the robot, or find it in different places.
     """
     log, n_steps, tables = bound.logs[0], bound.lengths[0], bound.tables(theta)[0]
-    found, increments = [], []
-    for k, n in enumerate((particles, 4 * particles)):
+
+    def followed(k: int, n: int) -> tuple[int | None, Float]:
+        """Return where a filter loses the robot, if it does, and its log evidence row by row."""
         try:
             made = predict_readings(tables, n_steps, n, make_rng(np.random.SeedSequence((seed, k))))
         except FilterError:
-            found.append(0)
-            increments.append(np.full(n_steps, -np.inf))
-            continue
-        lost = lost_at(made, n_steps)
-        found.append(-1 if lost is None else lost)
-        increments.append(made.filtered.log_increments)
-    if found[1] >= 0:
+            return 0, np.full(n_steps, -np.inf)
+        return lost_at(made, n_steps), made.filtered.log_increments
+
+    lost, small = followed(0, particles)
+    lost_again, large = followed(1, 4 * particles)
+    if lost is None and lost_again is None and _apart(small, large) is None:
+        return particles, ""
+    if lost_again is None:
+        lost_again, other = followed(2, 4 * particles)
+        lost_again = _apart(large, other, both_ways=True) if lost_again is None else lost_again
+    if lost_again is not None:
         raise FilterError(
-            f"{log.where}: the filter loses the robot at t={log.times[found[1]]:g} s; "
+            f"{log.where}: the filter loses the robot at t={log.times[lost_again]:g} s; "
             "restart with a wider start belief or more particles"
         )
+    return 4 * particles, f"{particles} particles lose the robot for a while; {4 * particles} are used"
+
+
+def _apart(small: Float, large: Float, both_ways: bool = False) -> int | None:
+    """Return the first row of the window in which the evidence of two filters differs most, if it does too much."""
     with np.errstate(invalid="ignore"):
-        window = np.convolve(increments[1] - increments[0], np.ones(20), mode="valid")
-    if found[0] >= 0 or not window.max(initial=0.0) < _DISAGREEMENT:
-        return 4 * particles, f"{particles} particles lose the robot for a while; {4 * particles} are used"
-    return particles, ""
+        window = np.convolve(large - small, np.ones(_SPAN), mode="valid")
+    window = np.abs(window) if both_ways else window
+    worst = int(np.argmax(window)) if window.size else 0
+    return None if window.size == 0 or window[worst] < _DISAGREEMENT else worst
