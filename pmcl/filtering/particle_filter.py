@@ -50,7 +50,7 @@ class FilterPass:
     log_weights: Float
     log_increments: Float
     effective_size: Float
-    ancestors: NDArray[np.int32]
+    ancestors: NDArray[np.uint32]
 
     def weights(self, t: int) -> Float:
         """Return the normalised weights at time t, shape (n,)."""

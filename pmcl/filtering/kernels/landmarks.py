@@ -62,8 +62,10 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     # Landmarks mostly share one standard deviation: its logarithm is not taken for each of them.
     usual_std, usual_constant = math.nan, 0.0
     turned = False
-    for k in range(sensor.first[t], sensor.first[t + 1]):
-        j = sensor.landmark[k]
+    for sighting in range(sensor.first[t], sensor.first[t + 1]):
+        # Of signed indices numba asks each time whether they are negative.
+        k = np.uint64(sighting)
+        j = np.uint64(sensor.landmark[k])
         landmark_x, landmark_y = sensor.position[j, 0], sensor.position[j, 1]
         weight = sensor.outlier_weight[j]
         target = work if weight > 0.0 else logp

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from pmcl.filtering.kernels.compile import generic, kernel
 from pmcl.filtering.kernels.random_numbers import exponentials_into
 
@@ -88,16 +90,16 @@ def _merge(weights, targets, first, ancestors, cumulated):
     """Find the particle whose share of the cumulated `weights` holds each of the ascending ``targets[first:]``.
 
     Each turn moves on in one of the two lists. In which is a coin that no processor can foresee, so it is arithmetic
-    instead of a branch.
+    instead of a branch; unsigned, since for signed indices numba asks each time whether they are negative.
     """
     cumulate(weights, cumulated)
     cumulated[last_positive(weights)] = math.inf
-    i, j = first, 0
-    while i < ancestors.size:
+    i, j, end = np.uint64(first), np.uint64(0), np.uint64(ancestors.size)
+    while i < end:
         ancestors[i] = j
-        behind = cumulated[j] <= targets[i]
+        behind = np.uint64(cumulated[j] <= targets[i])
         j += behind
-        i += not behind
+        i += np.uint64(1) - behind
 
 
 @kernel

@@ -175,16 +175,21 @@ def _state_before(tables, rng, t, ancestor, particles, log_weights, path, drawn,
     """
     size, n, count = particles.shape[1], particles.shape[2], drawn.size
     before, after, log_b, b = states[0], states[1], work[0], work[1]
-    for j in range(count):
-        drawn[j] = j if count == n else min(int(rng.random() * n), n - 1)
-    if count < n:
-        drawn[0] = ancestor
-    for d in range(size):
-        source, target = particles[t, d], before[d]
+    if count == n:
+        before = particles[t]
+        for j in range(n):
+            drawn[j] = j
+            log_b[j] = log_weights[t, j]
+    else:
         for j in range(count):
-            target[j] = source[drawn[j]]
-    for j in range(count):
-        log_b[j] = log_weights[t, drawn[j]]
+            drawn[j] = min(int(rng.random() * n), n - 1)
+        drawn[0] = ancestor
+        for j in range(count):
+            log_b[j] = log_weights[t, drawn[j]]
+        for d in range(size):
+            source, target = particles[t, d], before[d]
+            for j in range(count):
+                target[j] = source[drawn[j]]
     transition_logpdf(tables.motion, t + 1, before, path[t + 1], log_b, work[2:])
     if any_look_back(tables.sensors) and any_reading(tables.sensors, t + 1):
         for d in range(size):
@@ -234,7 +239,7 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
     """
     size = state_size(tables.motion)
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.int32)
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
     status, t, log_evidence = _forward(
         tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0),
         particles, log_weights, steps, ancestors, np.empty((size, n)), np.empty((work_rows(tables), n)),
@@ -251,7 +256,7 @@ def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
     """
     size = state_size(tables.motion)
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.int32)
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
     slots = count_slots(tables.sensors, n_steps)
     log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
     status, t, log_evidence = _forward(
@@ -287,7 +292,7 @@ def sweep(tables, rng, n_steps, n, conditional, path):
     """
     size = path.shape[1]
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps, previous, ancestors = np.empty((n_steps, 2)), np.empty((size, n)), np.empty((n_steps, n), np.int32)
+    steps, previous, ancestors = np.empty((n_steps, 2)), np.empty((size, n)), np.empty((n_steps, n), np.uint32)
     scratch = np.empty((work_rows(tables), n))
     status, t, log_evidence = _forward(
         tables, rng, n_steps, Independent(1 if conditional else 0), 1.0, conditional, path, AllAtOnce(0.0),
