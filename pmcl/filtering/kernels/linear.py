@@ -139,13 +139,13 @@ def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, c
             inverse_diagonal[i] = 1.0 / c[i * size + i]
             centre_t[i] = shift[i]
         log_determinant += math.log(determinant)
-        _solve(c, inverse_diagonal, centre_t, 0, 1, size)
+        _solve(c, inverse_diagonal, centre_t, np.int64(0), np.int64(1), size)
         if inner:
             for i in range(size):
                 for j in range(size):
                     k_t[i * size + j] = weighted[j * size + i]
             for j in range(size):
-                _solve(c, inverse_diagonal, k_t, j, size, size)
+                _solve(c, inverse_diagonal, k_t, j, np.int64(size), size)
             # Marginalise d[t]: what remains is the information about d[t + 1].
             for i in range(size):
                 value = shifted[i]
@@ -185,7 +185,9 @@ def factorise(tables, geometries, reference):
     n_steps, size = reference.shape[0], state_size(tables.motion)
     factor, gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     centre, work = np.empty((n_steps, size)), np.empty(4 * size * size + 4 * size)
-    log_determinant = _eliminate(tables, geometries, reference, reference, 0, n_steps, factor, gain, centre, work, size)
+    log_determinant = _eliminate(
+        tables, geometries, reference, reference, np.int64(0), n_steps, factor, gain, centre, work, size
+    )
     return log_determinant, factor, gain, centre
 
 
@@ -275,7 +277,7 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
     new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
     work, columns = np.empty(4 * size * size + 4 * size), np.empty((size, n_steps))
     log_determinant = _eliminate(
-        tables, geometries, reference, path, 0, n_steps, new_factor, new_gain, new_centre, work, size
+        tables, geometries, reference, path, np.int64(0), n_steps, new_factor, new_gain, new_centre, work, size
     )
     if log_determinant == -np.inf:
         return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried

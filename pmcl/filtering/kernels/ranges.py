@@ -125,10 +125,10 @@ def cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch):
             x[i] = current[0, i] + mount_x * cosine[i] - mount_y * sine[i]
         for i in range(n):
             y[i] = current[1, i] + mount_x * sine[i] + mount_y * cosine[i]
-        _remember(scratch, 9, middle_and_reach(x))
-        _remember(scratch, 11, middle_and_reach(y))
-        _remember(scratch, 13, middle_and_reach(cosine))
-        _remember(scratch, 15, middle_and_reach(sine))
+        _remember(scratch, np.int64(9), middle_and_reach(x))
+        _remember(scratch, np.int64(11), middle_and_reach(y))
+        _remember(scratch, np.int64(13), middle_and_reach(cosine))
+        _remember(scratch, np.int64(15), middle_and_reach(sine))
         if shared:
             wall_numerators(sensor.vertices, sensor.wall_start, sensor.wall_stop, x, y, inverse)
     cast_along(sensor, sensor.beam_pose[beam, 2], shared, sine, cosine, scratch, best)

@@ -127,7 +127,7 @@ def resample(scheme, weights, weight_sum, rng, ancestors, scratch):
     """Fill `ancestors` (m,) by one of the schemes; `scratch` (2, n) is work space, n >= m."""
     n, targets = ancestors.size, scratch[0]
     if scheme == MULTINOMIAL:
-        multinomial_into(weights, weight_sum, rng, 0, ancestors, scratch)
+        multinomial_into(weights, weight_sum, rng, np.int64(0), ancestors, scratch)
         return
     if scheme == RESIDUAL:
         filled = 0

@@ -20,6 +20,7 @@ __all__ = [
     "any_reading",
     "count_slots",
     "is_empty",
+    "is_single",
     "most_rows",
     "sum_information",
     "sum_logpdf",
@@ -70,10 +71,17 @@ def is_empty(sensors):
     return isinstance(sensors, types.BaseTuple) and len(sensors) == 0
 
 
+def is_single(sensors):
+    """Return whether it is that of a tuple of one: then nothing needs to be sliced, which takes long to compile."""
+    return isinstance(sensors, types.BaseTuple) and len(sensors) == 1
+
+
 @overload_for_types(any_reading)
 def _any_reading(sensors, t):
     if is_empty(sensors):
         return lambda sensors, t: False
+    if is_single(sensors):
+        return lambda sensors, t: has_reading(sensors[0], t)
     return lambda sensors, t: has_reading(sensors[0], t) or any_reading(sensors[1:], t)
 
 
@@ -81,6 +89,8 @@ def _any_reading(sensors, t):
 def _any_look_back(sensors):
     if is_empty(sensors):
         return lambda sensors: False
+    if is_single(sensors):
+        return lambda sensors: looks_back(sensors[0])
     return lambda sensors: looks_back(sensors[0]) or any_look_back(sensors[1:])
 
 
@@ -88,6 +98,8 @@ def _any_look_back(sensors):
 def _most_rows(sensors):
     if is_empty(sensors):
         return lambda sensors: 0
+    if is_single(sensors):
+        return lambda sensors: scratch_rows(sensors[0])
     return lambda sensors: max(scratch_rows(sensors[0]), most_rows(sensors[1:]))
 
 
@@ -95,6 +107,8 @@ def _most_rows(sensors):
 def _count_slots(sensors, n_steps):
     if is_empty(sensors):
         return lambda sensors, n_steps: 0
+    if is_single(sensors):
+        return lambda sensors, n_steps: reading_count(sensors[0], n_steps)
     return lambda sensors, n_steps: reading_count(sensors[0], n_steps) + count_slots(sensors[1:], n_steps)
 
 
@@ -102,6 +116,10 @@ def _count_slots(sensors, n_steps):
 def _sum_logpdf(sensors, t, previous, current, logp, scratch):
     if is_empty(sensors):
         return lambda sensors, t, previous, current, logp, scratch: None
+    if is_single(sensors):
+        return lambda sensors, t, previous, current, logp, scratch: reading_logpdf(
+            sensors[0], t, previous, current, logp, scratch
+        )
 
     def both(sensors, t, previous, current, logp, scratch):
         reading_logpdf(sensors[0], t, previous, current, logp, scratch)
@@ -114,6 +132,10 @@ def _sum_logpdf(sensors, t, previous, current, logp, scratch):
 def _sum_path_logpdf(sensors, n_steps, path, logp, scratch):
     if is_empty(sensors):
         return lambda sensors, n_steps, path, logp, scratch: None
+    if is_single(sensors):
+        return lambda sensors, n_steps, path, logp, scratch: path_reading_logpdf(
+            sensors[0], n_steps, path, logp, scratch
+        )
 
     def both(sensors, n_steps, path, logp, scratch):
         path_reading_logpdf(sensors[0], n_steps, path, logp, scratch)
@@ -126,6 +148,10 @@ def _sum_path_logpdf(sensors, n_steps, path, logp, scratch):
 def _sum_information(sensors, geometries, t, precision, shift):
     if is_empty(sensors):
         return lambda sensors, geometries, t, precision, shift: None
+    if is_single(sensors):
+        return lambda sensors, geometries, t, precision, shift: linear_information(
+            sensors[0], geometries[0], t, precision, shift
+        )
 
     def both(sensors, geometries, t, precision, shift):
         linear_information(sensors[0], geometries[0], t, precision, shift)
