@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from logs import ALIKE, Hidden, make, sealed, wanted
 from outside import OUTSIDE
-from scoring import FORMULA, append, read_results, scored
+from scoring import FORMULA, IN_THE_DATA, append, read_results, scored
 
 import pmcl
 from pmcl.criticism.workflow import criticize
@@ -116,6 +116,7 @@ def score(folder: Path, results: Path) -> None:
 def sum_up(results: Path) -> None:
     """Print each result in a line, and the totals of each kind."""
     tally: dict[str, list[tuple[bool, ...]]] = {}
+    absent = 0
     rows = sorted(read_results(results), key=lambda row: (row["kind"], row["magnitude"], row["hidden"], row["place"]))
     for row in rows:
         found = row["verdict"] in ("explained", "unknown effect")
@@ -123,7 +124,11 @@ def sum_up(results: Path) -> None:
         named_formula = FORMULA in row["found"]
         wrong = row["verdict"] == "explained" and not in_set and not named_formula
         sure = wrong and not row["twins"].strip(" +/")
-        tally.setdefault(f"{row['kind']} {row['magnitude']}".strip(), []).append((found, named, in_set, wrong, sure))
+        if row["nats_on_true_path"] and float(row["nats_on_true_path"]) < IN_THE_DATA:
+            absent += 1
+        else:
+            title = f"{row['kind']} {row['magnitude']}".strip()
+            tally.setdefault(title, []).append((found, named, in_set, wrong, sure))
         print(
             f"{row['place']:6} {row['hidden'] or '-':42} {row['magnitude']:12} {row['verdict']:17} "
             f"{'NAME' if named else 'set' if in_set else '':4} {float(row['seconds']):4.0f} s  {row['found']}"
@@ -135,6 +140,7 @@ def sum_up(results: Path) -> None:
             f"{title}: {len(flags)} logs, found {found}, named {named}, or in the set {in_set}, "
             f"wrong {wrong}, of these without naming alternatives {sure}"
         )
+    print(f"left out: {absent} logs whose effect is worth less than {IN_THE_DATA:g} nats where it acts")
 
 
 def main() -> None:

@@ -9,15 +9,20 @@ from outside import OUTSIDE
 
 from pmcl.criticism.heldout import gap_of
 from pmcl.errors import PmclError
-from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.kernels.contract import state_size
+from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.filtering.predictive import predict_readings
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.selection import effect_named
-from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 
-__all__ = ["FORMULA", "append", "read_results", "scored"]
+__all__ = ["FORMULA", "IN_THE_DATA", "append", "nats_on_true_path", "read_results", "scored"]
 
 FORMULA = "formula:"
 PARTICLES = 2000
+IN_THE_DATA = 3.0
+"""An effect that explains a log better by less than this [nat], with the path known, has not acted in it."""
 
 
 def read_results(path: Path) -> list[dict[str, str]]:
@@ -67,6 +72,7 @@ def scored(hidden: Hidden, result: dict) -> dict[str, object]:
         "score_before": gaps[0].get("log_score_per_reading", ""),
         "score_after": gaps[1].get("log_score_per_reading", ""),
         "score_of_truth": _score_of_truth(hidden, names, result),
+        "nats_on_true_path": nats_on_true_path(hidden),
         "coverage_before": gaps[0].get("coverage_90", ""),
         "coverage_after": gaps[1].get("coverage_90", ""),
         **_sizes(hidden, names, result["effects"]),
@@ -92,15 +98,44 @@ def _right_place(hidden: Hidden, names: list[str], effects: list[dict]) -> objec
     return ""
 
 
+def nats_on_true_path(hidden: Hidden) -> object:
+    """Return by how much a single hidden effect explains a log better [nat], were the path known.
+
+    Near zero, the log does not hold the effect (the robot never came to the slippery patch), and there is nothing to
+    find. Empty where it cannot be told: outside the catalogue, for pairs, and for states that no log stores.
+    """
+    names = [text.partition("=")[0] for text in hidden.effects]
+    if len(names) != 1 or names[0] in OUTSIDE:
+        return ""
+    log = simulate(hidden.place, hidden.effects, hidden.seed, hide=False)
+    path = log.dataset["true_pose"].values.copy()
+    path[:, 2] = np.unwrap(path[:, 2])
+    values = []
+    for effects in (True, False):
+        bound = _true_model(hidden, log, effects)
+        tables = bound.tables(np.array([hidden.values[name] for name in bound.names]))[0]
+        if int(state_size(tables.motion)) != path.shape[1]:
+            return ""
+        values.append(log_joint(tables, path))
+    return f"{values[0] - values[1]:.1f}"
+
+
+def _true_model(hidden: Hidden, log: RobotLog, effects: bool = True) -> BoundModel:
+    """Return the model that a log was simulated with, or the same without its effects."""
+    names = [text.partition("=")[0] for text in hidden.effects]
+    bare = log.without_truth()
+    base = default_model(bare)
+    placed = [_placed(name, where, log) for name, where in zip(names, hidden.where, strict=True)] if effects else []
+    return RobotModel(base.motion, base.sensors, base.start, effects=tuple(placed)).bind(bare)
+
+
 def _score_of_truth(hidden: Hidden, names: list[str], result: dict) -> object:
     """Return the held-out log score of a reading [nat] under the true model; empty outside the catalogue."""
     if not names or any(name in OUTSIDE for name in names) or not result["steps"]:
         return ""
     log = simulate(hidden.place, hidden.effects, hidden.seed, hide=False)
     try:
-        base = default_model(log.without_truth())
-        effects = [_placed(name, where, log) for name, where in zip(names, hidden.where, strict=True)]
-        bound = RobotModel(base.motion, base.sensors, base.start, effects=tuple(effects)).bind(log.without_truth())
+        bound = _true_model(hidden, log)
         theta = np.array([hidden.values[name] for name in bound.names])
         rng = make_rng(np.random.SeedSequence((hidden.seed, 9)))
         seen = predict_readings(bound.tables(theta)[0], log.n_steps, PARTICLES, rng)
@@ -110,7 +145,7 @@ def _score_of_truth(hidden: Hidden, names: list[str], result: dict) -> object:
     return gap_of(seen, seen.pit(rng), slice(result["settings"]["split"], None)).log_score_per_reading
 
 
-def _placed(name: str, where: dict, log):
+def _placed(name: str, where: dict, log: RobotLog) -> Effect:
     place = {key: tuple(values) for key, values in where.items()}
     return effect_named(name, log, place) if place else effect_named(name, log)
 

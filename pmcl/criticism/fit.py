@@ -22,7 +22,7 @@ from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, Transport, linearised_at
 
-__all__ = ["BRIEF", "THOROUGH", "Effort", "Fit", "quick_fit"]
+__all__ = ["BRIEF", "LONG", "THOROUGH", "Effort", "Fit", "quick_fit"]
 
 Float = NDArray[np.float64]
 
@@ -45,6 +45,8 @@ class Effort(NamedTuple):
 
 
 THOROUGH = Effort(12, (30, 40, 60), 150, 25)
+LONG = THOROUGH._replace(draws=600)
+"""For intervals: the standard deviation of a chain of 150 may come out at half of what it is."""
 BRIEF = Effort(8, (15, 20, 30), 60, 16)
 """Enough to compare models: an estimate half a standard deviation off costs an eighth of a nat."""
 

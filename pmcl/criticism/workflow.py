@@ -17,7 +17,7 @@ from pmcl.criticism.assemble import (
     measured,
     unexplained_of,
 )
-from pmcl.criticism.fit import Fit, quick_fit
+from pmcl.criticism.fit import LONG, Fit, quick_fit
 from pmcl.criticism.formulas import formulas
 from pmcl.criticism.guard import particles_that_follow
 from pmcl.criticism.heldout import gap_of
@@ -97,7 +97,7 @@ def criticize(
     rounds : int
         How many effects may be added.
     joint : bool
-        Whether the final model is calibrated by full chains; otherwise the quick fit's numbers stand.
+        Whether the final model is calibrated by full chains; otherwise one longer chain tells its parameters.
     draws : int
         Draws of each of the four final chains.
     workers : int, optional
@@ -347,6 +347,11 @@ class _Loop:
                 seed=self.settings.seed, progress=self.settings.progress,
             )  # fmt: skip
             after = drawn_estimates(last.fit, posterior)
+        elif self.found:
+            seed = self.settings.seed + 200
+            after = estimates(
+                quick_fit(last.fit.bound, seed, theta=last.fit.theta, path=last.fit.path, effort=LONG)
+            )
         added = model.named_effects[len(self.base.effects) :]
         found = tuple(measured(one, effect, after, model.fixed) for one, effect in zip(self.found, added, strict=True))
         unexplained = unexplained_of(last, self.wanted)
