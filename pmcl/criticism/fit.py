@@ -45,7 +45,7 @@ class Effort(NamedTuple):
 
 
 THOROUGH = Effort(12, (30, 40, 60), 150, 25)
-LONG = THOROUGH._replace(draws=600)
+LONG = THOROUGH._replace(draws=300)
 """For intervals: the standard deviation of a chain of 150 may come out at half of what it is."""
 BRIEF = Effort(8, (15, 20, 30), 60, 16)
 """Enough to compare models: an estimate half a standard deviation off costs an eighth of a nat."""

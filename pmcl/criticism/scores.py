@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.contract import state_size
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
-from pmcl.models.rich_tables import WanderingMotion
+from pmcl.models.rich_tables import RichRangeBeams, WanderingMotion, rich_beams
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import RangeBeams, Tables
 
@@ -32,6 +32,13 @@ _SIZE = 0.25
 _BASE_SIZE = 0.02
 # One row of one trajectory never counts for more [nat]: a reading that is impossible under a model says no more.
 _MOST = 50.0
+
+_Beams = RangeBeams | RichRangeBeams
+# Fields whose first axis is the beams.
+_OF_BEAMS = (
+    "beam_pose", "bias", "scale", "std", "outlier_weight", "growth", "width", "short_weight", "no_echo_weight",
+    "specular_weight", "talk_weight", "correlation",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -144,23 +151,39 @@ def base_rows(bound: BoundModel, theta: Float, columns: Float) -> Float:
     return 0.5 * rows
 
 
-def _differing_beams(one: RangeBeams, other: RangeBeams) -> tuple[RangeBeams, RangeBeams]:
+def _differing_beams(one: _Beams, other: _Beams) -> tuple[_Beams, _Beams]:
     """Keep the beams of two tables that are not the same in both: an effect of one beam costs no more than one beam."""
-    if one.vertices is not other.vertices or one.reading is not other.reading:
-        return one, other
-    fields = ("bias", "scale", "std", "outlier_weight")
-    same = (one.beam_pose == other.beam_pose).all(axis=1)
-    for name in fields:
-        same &= getattr(one, name) == getattr(other, name)
+    first, second = (one, other) if type(one) is type(other) else (rich_beams(one), rich_beams(other))
+    same = np.ones(len(first.beam_pose), dtype=bool)
+    for name in first._fields:
+        a, b = getattr(first, name), getattr(second, name)
+        if a is b or name == "neighbours":
+            continue
+        if name in _OF_BEAMS:
+            same &= (a == b).reshape(same.size, -1).all(axis=1)
+        elif name == "bias_at":
+            same &= (a == b).all(axis=0)
+        elif not np.array_equal(a, b):
+            return one, other
     kept = np.flatnonzero(~same)
-    if kept.size == same.size:
+    # A beam that may show its neighbour's echo cannot be judged without it.
+    if kept.size == same.size or any((table.talk_weight > 0.0).any() for table in (first, second) if _is_rich(table)):
         return one, other
-    reading = np.ascontiguousarray(one.reading[:, kept])
-    changes = [
-        {name: getattr(table, name)[kept] for name in (*fields, "beam_pose")} | {"reading": reading}
-        for table in (one, other)
-    ]
-    return one._replace(**changes[0]), other._replace(**changes[1])
+    return _some_beams(first, kept), _some_beams(second, kept)
+
+
+def _some_beams(beams: _Beams, kept: NDArray[np.int64]) -> _Beams:
+    """Return a table of some beams only; neighbours lose their meaning."""
+    changes = {name: getattr(beams, name)[kept] for name in _OF_BEAMS if name in beams._fields}
+    columns = ("reading", "bias_at") if _is_rich(beams) else ("reading",)
+    changes |= {name: np.ascontiguousarray(getattr(beams, name)[:, kept]) for name in columns}
+    if _is_rich(beams):
+        changes["neighbours"] = np.zeros((kept.size, 2), dtype=np.int64)
+    return beams._replace(**changes)
+
+
+def _is_rich(beams: _Beams) -> TypeGuard[RichRangeBeams]:
+    return isinstance(beams, RichRangeBeams)
 
 
 def _bounded(above: Float, below: Float) -> Float:
@@ -184,7 +207,7 @@ class _Terms:
         for one, other in zip(above.sensors, below.sensors, strict=True):
             if one is other:
                 continue
-            if type(one) is type(other) is RangeBeams:
+            if isinstance(one, (RangeBeams, RichRangeBeams)) and isinstance(other, (RangeBeams, RichRangeBeams)):
                 one, other = _differing_beams(one, other)
             row += _bounded(self._sensor(one), self._sensor(other))
 

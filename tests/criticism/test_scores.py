@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,17 +96,34 @@ def test_effects_with_one_side_are_compared_with_none(cart):
     assert np.all(np.isfinite(scores[:, 3]))
 
 
-def test_beams_that_stay_the_same_are_skipped_without_a_difference():
+@pytest.mark.parametrize("present", [(), ("quantized-readings",), ("range-noise-correlated",), ("cross-talk",)])
+def test_beams_that_stay_the_same_are_skipped_without_a_difference(present):
     log = simulate_amigobot(40.0, 3)
-    bound = default_model(log).bind(log)
+    known = {effect.name: effect for effect in candidates(log)}
+    base = default_model(log)
+    model = replace(base, effects=tuple(known[name] for name in present))
+    bound = model.bind(log)
     tables = bound.tables(bound.prior_mean())[0]
     paths = np.array([log.dataset["true_pose"].values + 0.01 * k for k in range(3)])
     columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
-    of_one_beam = [effect for effect in candidates(log) if effect.name in ("beam-bias", "beam-yaw")]
-    wanted = directions(of_one_beam)
-    assert len(wanted) == 16
+    names = ("beam-bias", "beam-yaw", "dead-beam", "range-bias-drifts", "range-bias")
+    wanted = directions([effect for effect in candidates(log) if effect.name in names])
+    assert len(wanted) == 26
     for direction, row in zip(wanted, effect_rows(tables, log, columns, wanted), strict=True):
-        above, below = (direction.effect.edit(tables, v, log) for v in (direction.above, direction.below))
+        above = direction.effect.edit(tables, direction.above, log)
+        below = tables if direction.one_sided else direction.effect.edit(tables, direction.below, log)
         whole = smc.sensor_terms(above.sensors[0], columns) - smc.sensor_terms(below.sensors[0], columns)
-        np.testing.assert_allclose(row, 0.5 * whole.mean(axis=0), atol=1e-9)
+        np.testing.assert_allclose(row, whole.mean(axis=0) / (2 - direction.one_sided), atol=1e-9)
         assert np.abs(row).max() > 1e-3
+
+
+def test_an_effect_of_one_beam_costs_one_beam(monkeypatch):
+    log = simulate_amigobot(40.0, 3)
+    known = {effect.name: effect for effect in candidates(log)}
+    tables = known["quantized-readings"].edit(default_model(log).bind(log).tables(np.full(4, 0.05))[0], [0.1], log)
+    columns = np.ascontiguousarray(log.dataset["true_pose"].values.T[None])
+    seen = []
+    terms = smc.sensor_terms
+    monkeypatch.setattr(smc, "sensor_terms", lambda table, paths: seen.append(len(table.bias)) or terms(table, paths))
+    effect_rows(tables, log, columns, directions([known["beam-bias"]]))
+    assert seen == [1, 1]
