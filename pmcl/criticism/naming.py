@@ -315,6 +315,9 @@ def spare_effects(
     trial, dropped, position = accepted, [], own
     while position < len(trial.model.effects) - 1:
         effects = trial.model.effects
+        if effects[position].tells is not None:  # the data themselves show it
+            position += 1
+            continue
         model = replace(trial.model, effects=effects[:position] + effects[position + 1 :])
         # By position, since parameters of effects that occur several times change their names with the others.
         counts = [sum(p.name not in trial.model.fixed for p in one.parameters) for one in trial.model.named_effects]

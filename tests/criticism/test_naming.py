@@ -1,4 +1,4 @@
-"""Which candidates are refitted: near twins of the likeliest effect, whatever their own score."""
+"""Which candidates are refitted, near twins whatever their own score; and which effects may go again."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pmcl.criticism.naming import untried_twins
+from pmcl.criticism.fit import BRIEF, quick_fit
+from pmcl.criticism.naming import spare_effects, trial_of_base, try_effect, untried_twins
 from pmcl.criticism.scores import directions
 from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import default_model
+from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
@@ -35,3 +38,19 @@ def test_of_a_twin_with_many_places_the_likeliest_is_refitted():
     places = [(effect.where, value) for effect, value in untried_twins(best, wanted, z, []) if effect.where]
     assert ({"landmarks": (5,)}, 3.0) in [(dict(where), value) for where, value in places]
     assert all(value == 3.0 for where, value in places if "landmarks" in where)
+
+
+def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():
+    noise = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
+    given = ("quantized-readings=clear", "range-bias=large")
+    log = simulate_amigobot(150.0, 3, noise, effects=given).without_truth()
+    settings = {"seed": 1, "particles": 1000}
+    fit = quick_fit(default_model(log).bind(log), 1, effort=BRIEF)
+    trial = trial_of_base(default_model(log), log, 90, theta=fit.theta, path=fit.path, **settings)
+    for name in ("quantized-readings", "odometry-side-drift", "range-bias"):
+        trial = try_effect(trial, effect_named(name, log), 1.0, log, 90, **settings)
+    assert trial.on_heldout.significant
+    left, dropped = spare_effects(trial, 0, log, 90, **settings)
+    assert dropped == [1]
+    assert [effect.name for effect in left.model.effects] == ["quantized-readings", "range-bias"]
+    assert left.model.fixed == trial.model.fixed != {}
