@@ -310,14 +310,17 @@ def rich_landmarks(seen: LandmarkSightings | RichLandmarks) -> RichLandmarks:
 
 
 def uniform(tables: Tables) -> Tables:
-    """Return tables of which all are rich where one of them is; densities stay the same."""
-    rich = (RichMotion, WanderingMotion, RichRangeBeams, RichLandmarks)
-    if not any(isinstance(table, rich) for table in (tables.motion, *tables.sensors)):
+    """Return tables of which all are rich where a sensor's is; densities stay the same.
+
+    Kernels are compiled for each combination of table types, and this keeps them few. An effect of the motion alone
+    leaves sensors as they are, since rich ones cost some three times as much.
+    """
+    if not any(isinstance(table, (RichRangeBeams, RichLandmarks)) for table in tables.sensors):
         return tables
     motion: NamedTuple = tables.motion
-    sensors: list[NamedTuple] = []
     if isinstance(motion, IncrementMotion):
         motion = rich_motion(motion)
+    sensors: list[NamedTuple] = []
     for sensor in tables.sensors:
         if isinstance(sensor, RangeBeams):
             sensors.append(rich_beams(sensor))

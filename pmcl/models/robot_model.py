@@ -233,7 +233,7 @@ class BoundModel:
             tables = Tables(start, motion, tuple(sensors))
             for effect, values in zip(self.effects, own[n_parts:], strict=True):
                 tables = effect.edit(tables, values, log)
-            # Kernels are compiled for each combination of table types: all rich or all plain keeps these few.
+            # Kernels are compiled for each combination of table types, of which this keeps only few.
             made.append(uniform(tables))
         return tuple(made)
 

@@ -478,11 +478,16 @@ def test_sightings_have_the_density_of_their_definition(compiled, rng):
     expected = [sighting_density(seen, t, path[max(t - 1, 0)], path[t]) for t in range(6)]
     if compiled:
         np.testing.assert_allclose(along(seen, path), expected, rtol=1e-8)
-        return
+        np.testing.assert_allclose(along(seen, path[:4]), expected[:4], rtol=1e-8)
+    else:
+        logp, columns = np.zeros(n_steps), np.ascontiguousarray(path.T)
+        contract.path_reading_logpdf(seen, n_steps, columns, logp, scratch_for(seen, n_steps))
+        np.testing.assert_allclose(logp, expected, rtol=1e-8)
+    one_row = compiled_readings if compiled else contract.reading_logpdf
     for t in range(6):
         logp = np.zeros(1)
         before = path[max(t - 1, 0)][:, None].copy()
-        contract.reading_logpdf(seen, t, before, path[t][:, None].copy(), logp, scratch_for(seen, 1))
+        one_row(seen, t, before, path[t][:, None].copy(), logp, scratch_for(seen, 1))
         assert logp[0] == pytest.approx(expected[t], rel=1e-8)
 
 

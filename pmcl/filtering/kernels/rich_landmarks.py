@@ -10,19 +10,20 @@ from pmcl.filtering.kernels.contract import (
     linear_information,
     looks_back,
     one_reading,
+    path_reading_logpdf,
     reading_count,
     reading_logpdf,
     reading_slots,
     scratch_rows,
 )
 from pmcl.filtering.kernels.geometry import BEARING, RANGE, SIZE, add_information
-from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, sincos_into
+from pmcl.filtering.kernels.vector_math import any_nonzero, atan2_into, exp_into, log_into, sincos_into
 from pmcl.models.rich_tables import RichLandmarks
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _POSE, _SINE, _COSINE, _AHEAD, _ASIDE, _DISTANCE, _ANGLE, _TARGET, _OTHERS, _DRAFT = 0, 3, 4, 5, 6, 7, 8, 9, 10, 11
-# The same rows for the state before, after those of the state now.
-_BEFORE = 12
+# The same rows for the state before, after those of the state now; and the states before along a path.
+_BEFORE, _SHIFTED = 12, 19
 # How far off, in standard deviations, a reading may have been and still say something about the next one.
 _RELATED = 4.0
 # Nearer landmarks count as this far for the noise of their bearing [m].
@@ -31,17 +32,12 @@ _NEAREST = 0.1
 
 @scratch_rows.register(RichLandmarks, allocates=False)
 def _scratch_rows(table):
-    return _BEFORE + _ANGLE + 1
+    return _SHIFTED + 3
 
 
 @looks_back.register(RichLandmarks, allocates=False)
 def _looks_back(sensor):
-    found = False
-    for t in range(sensor.lag.size):
-        found |= sensor.lag[t] != 0.0
-    for j in range(sensor.position.shape[0]):
-        found |= sensor.range_correlation[j] != 0.0 or sensor.bearing_correlation[j] != 0.0
-    return found
+    return any_nonzero(sensor.lag) or any_nonzero(sensor.range_correlation) or any_nonzero(sensor.bearing_correlation)
 
 
 @has_reading.register(RichLandmarks, allocates=False)
@@ -63,13 +59,17 @@ def _log_outlier(sensor, k, j):
 
 
 @kernel
-def _place(sensor, lag, previous, current, scratch):
-    """Write the pose at which a row was read, with sine and cosine of the direction that the sensor looks in."""
+def _place(sensor, first, stride, late, previous, current, scratch):
+    """Write the pose at which each column was read, with sine and cosine of the direction that the sensor looks in.
+
+    Column i is row ``first + stride * i``; without `late`, readings are as old as the pose.
+    """
     yaw = sensor.sensor_pose[2]
     mount_x, mount_y = sensor.sensor_pose[0], sensor.sensor_pose[1]
     n = current.shape[1]
     for d in range(3):
         for i in range(n):
+            lag = sensor.lag[first + stride * i] if late else 0.0
             scratch[_POSE + d, i] = current[d, i] - lag * (current[d, i] - previous[d, i])
     sine, cosine = scratch[_SINE], scratch[_COSINE]
     sincos_into(scratch[_POSE + 2], sine, cosine)
@@ -247,14 +247,14 @@ def _log(x):
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     n, n_landmarks = logp.size, sensor.position.shape[0]
     others, draft = scratch[_OTHERS], scratch[_DRAFT]
-    _place(sensor, sensor.lag[t], previous, current, scratch)
+    _place(sensor, t, 0, True, previous, current, scratch)
     placed_before = False
     for k in range(sensor.first[t], sensor.first[t + 1]):
         j = sensor.landmark[k]
         misread, wild = sensor.misread_weight[j], sensor.outlier_weight[j]
         last = _last_sighting(sensor, t, j)
         if last >= 0 and not placed_before:
-            _place(sensor, 0.0, previous, previous, scratch[_BEFORE:])
+            _place(sensor, t, 0, False, previous, previous, scratch[_BEFORE:])
             placed_before = True
         sure = misread == 0.0 and wild == 0.0
         target = logp if sure else scratch[_TARGET]
@@ -288,6 +288,66 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             logp[i] += target[i]
 
 
+@kernel
+def _look_once(sensor, j, i, scratch):
+    """Return where landmark j lies ahead of the sensor and aside, and its distance, from column `i`."""
+    dx, dy = sensor.position[j, 0] - scratch[_POSE, i], sensor.position[j, 1] - scratch[_POSE + 1, i]
+    ahead = dx * scratch[_COSINE, i] + dy * scratch[_SINE, i]
+    aside = dy * scratch[_COSINE, i] - dx * scratch[_SINE, i]
+    return ahead, aside, math.sqrt(ahead * ahead + aside * aside)
+
+
+@kernel
+def _one_sighting(sensor, k, j, last, i, scratch):
+    """Return the log density of sighting k, were it of landmark j, from column `i`, given sighting `last` of j."""
+    ahead, aside, distance = _look_once(sensor, j, i, scratch)
+    angle = 0.0 if math.isnan(sensor.bearing[k]) else math.atan2(aside, ahead)
+    before = scratch[_BEFORE:]
+    if last >= 0:
+        before[_AHEAD, i], before[_ASIDE, i], before[_DISTANCE, i] = _look_once(sensor, j, i, before)
+    value, spread = 0.0, 1.0
+    for kind in range(3):
+        if math.isnan(_reading_of(sensor, kind, k)):
+            continue
+        residual, std = _channel(sensor, kind, k, j, ahead, aside, distance, angle)
+        if last >= 0:
+            residual, std = _given_last(sensor, kind, last, residual, std, before, i)
+        value -= 0.5 * (residual / std) ** 2 + _HALF_LOG_2PI
+        # One logarithm serves all channels.
+        spread *= std
+    return value - math.log(spread)
+
+
+@kernel
+def _log_add(one, other):
+    high = max(one, other)
+    return high + math.log1p(math.exp(min(one, other) - high)) if high > -math.inf else high
+
+
+@path_reading_logpdf.register(RichLandmarks, allocates=False)
+def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
+    shifted, n_landmarks = scratch[_SHIFTED : _SHIFTED + 3], sensor.position.shape[0]
+    for d in range(3):
+        for t in range(n_steps):
+            shifted[d, t] = path[d, max(t - 1, 0)]
+    _place(sensor, 0, 1, True, shifted, path, scratch)
+    if any_nonzero(sensor.range_correlation) or any_nonzero(sensor.bearing_correlation):
+        _place(sensor, 0, 1, False, shifted, shifted, scratch[_BEFORE:])
+    for k in range(sensor.first[n_steps]):
+        t, j = sensor.time[k], sensor.landmark[k]
+        misread, wild = sensor.misread_weight[j], sensor.outlier_weight[j]
+        value = _one_sighting(sensor, k, j, _last_sighting(sensor, t, j), t, scratch)
+        if misread > 0.0 and n_landmarks > 1:
+            value += _log(1.0 - misread)
+            for other in range(n_landmarks):
+                if other != j:
+                    one = _one_sighting(sensor, k, other, -1, t, scratch)
+                    value = _log_add(value, one + math.log(misread / (n_landmarks - 1)))
+        if wild > 0.0:
+            value = _log_add(value + _log(1.0 - wild), _log_outlier(sensor, k, j) + math.log(wild))
+        logp[t] += value
+
+
 @reading_count.register(RichLandmarks, allocates=False)
 def _reading_count(sensor, n_steps):
     return 3 * sensor.first[n_steps]
@@ -313,10 +373,10 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
         return False
     named, n, n_landmarks = sensor.landmark[k], logp.size, sensor.position.shape[0]
     misread, wild = sensor.misread_weight[named], sensor.outlier_weight[named]
-    _place(sensor, sensor.lag[t], previous, current, scratch)
+    _place(sensor, t, 0, True, previous, current, scratch)
     last, states_before = _last_sighting(sensor, t, named), scratch[_BEFORE:]
     if last >= 0:
-        _place(sensor, 0.0, previous, previous, states_before)
+        _place(sensor, t, 0, False, previous, previous, states_before)
         _look(sensor, named, n, states_before)
     # What the sighting is of (its landmark, another one, nothing) weighed by the readings of it that came before.
     before, now, below = memory[0], memory[1], memory[2]

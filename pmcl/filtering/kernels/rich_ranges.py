@@ -33,9 +33,10 @@ from pmcl.filtering.kernels.student import (
     student_logpdf,
     upper_tail,
 )
-from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
+from pmcl.filtering.kernels.vector_math import any_nonzero, exp_into, log_into, sincos_into
 from pmcl.models.rich_tables import RichRangeBeams
 
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 # A ray that meets nothing has length inf; this many times the longest reading stands for it.
 _FAR = 2.0
 # Work rows of this module after those of casting and those for the walls.
@@ -57,17 +58,9 @@ def _scratch_rows(table):
     return _CASTING + table.wall_start.size + _OWN + 3 * table.reading.shape[1]
 
 
-@kernel
-def _any(values):
-    found = False
-    for i in range(values.size):
-        found |= values[i] != 0.0
-    return found
-
-
 @looks_back.register(RichRangeBeams, allocates=False)
 def _looks_back(sensor):
-    return _any(sensor.lag) or _any(sensor.correlation)
+    return any_nonzero(sensor.lag) or any_nonzero(sensor.correlation)
 
 
 @has_reading.register(RichRangeBeams, allocates=False)
@@ -220,7 +213,7 @@ def _short_density(sensor, z, expected):
 @kernel
 def _is_mixture(sensor, beam):
     weight = abs(sensor.outlier_weight[beam]) + sensor.no_echo_weight[beam] + sensor.short_weight[beam]
-    return weight + sensor.specular_weight[beam] + sensor.talk_weight[beam] != 0.0 or _any(sensor.obstacles[:, 3])
+    return weight + sensor.specular_weight[beam] + sensor.talk_weight[beam] != 0.0 or any_nonzero(sensor.obstacles[:, 3])
 
 
 @kernel
@@ -288,6 +281,25 @@ def _one_echo(sensor, z, centre, std):
 
 
 @kernel
+def _is_plain(sensor, beam):
+    """Return whether the echoes of a beam are all that it reads, with one standard deviation for a whole row."""
+    uneven = sensor.growth[beam] != 0.0 or sensor.correlation[beam] != 0.0
+    return not (uneven or sensor.tail != 0.0 or sensor.step != 0.0 or _is_mixture(sensor, beam))
+
+
+@kernel
+def _add_plain_beam(sensor, beam, t, logp, scratch):
+    """Add the log density of an unclipped reading of a plain beam, cast before."""
+    inverse = scratch[_CASTING + sensor.wall_start.size + _OWN + beam]
+    std, far = sensor.std[beam] * sensor.std_factor[t], _FAR * sensor.max_range
+    constant, inverse_std, scale = -math.log(std) - _HALF_LOG_2PI, 1.0 / std, sensor.scale[beam]
+    z, shift = sensor.reading[t, beam], sensor.bias[beam] + sensor.bias_at[t, beam]
+    for i in range(logp.size):
+        r = (z - min(scale / inverse[i] + shift, far)) * inverse_std
+        logp[i] += constant - 0.5 * r * r
+
+
+@kernel
 def _add_beam(sensor, beam, first, stride, logp, scratch):
     """Add the log density of one beam's readings, all cast before; columns without a reading are left alone."""
     n = logp.size
@@ -339,10 +351,10 @@ def _cast_all(sensor, first, stride, previous, current, scratch):
     previous_inverses = scratch[begin + _OWN + 2 * n_beams : begin + _OWN + 3 * n_beams]
     pose = own[_POSE : _POSE + 3]
     row = first if stride == 0 else -1
-    if _any(sensor.correlation):
+    if any_nonzero(sensor.correlation):
         _cast_beams(sensor, previous, row, True, scratch, own, previous_inverses, cosines)
     _delayed(sensor, first, stride, current.shape[1], previous, current, pose)
-    _cast_beams(sensor, pose, -1 if _any(sensor.talk_weight) else row, False, scratch, own, inverses, cosines)
+    _cast_beams(sensor, pose, -1 if any_nonzero(sensor.talk_weight) else row, False, scratch, own, inverses, cosines)
 
 
 @kernel
@@ -350,7 +362,9 @@ def _add_readings(sensor, first, stride, previous, current, logp, scratch):
     """Add the log densities of all beams."""
     _cast_all(sensor, first, stride, previous, current, scratch)
     for beam in range(sensor.reading.shape[1]):
-        if stride > 0 or not math.isnan(sensor.reading[first, beam]):
+        if stride == 0 and 0.0 < sensor.reading[first, beam] < sensor.max_range and _is_plain(sensor, beam):
+            _add_plain_beam(sensor, beam, first, logp, scratch)
+        elif stride > 0 or not math.isnan(sensor.reading[first, beam]):
             _add_beam(sensor, beam, first, stride, logp, scratch)
 
 

@@ -16,7 +16,10 @@ from numba.extending import intrinsic
 
 from pmcl.filtering.kernels.compile import kernel
 
-__all__ = ["atan2_into", "bits_of", "exp_into", "extremes", "float_of", "log_into", "maximum", "sincos_into", "total"]
+__all__ = [
+    "any_nonzero", "atan2_into", "bits_of", "exp_into", "extremes", "float_of", "log_into", "maximum", "sincos_into",
+    "total",
+]  # fmt: skip
 
 # Adding and subtracting 1.5 * 2^52 rounds to the nearest integer and leaves it in the low bits of the mantissa.
 _ROUND = 6755399441055744.0
@@ -204,6 +207,15 @@ def extremes(x):
         value = _ordered(bits_of(x[i]))
         low, high = min(low, value), max(high, value)
     return float_of(_ordered(low)), float_of(_ordered(high))
+
+
+@kernel
+def any_nonzero(x):
+    """Return whether any element differs from zero."""
+    found = False
+    for i in range(x.size):
+        found |= x[i] != 0.0
+    return found
 
 
 @kernel(reorder=True)
