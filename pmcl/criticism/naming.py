@@ -24,7 +24,7 @@ from pmcl.models.tables import Tables
 
 __all__ = [
     "Trial", "choose", "leaders", "scan", "shortlist", "spare_effects", "thoroughly", "trial_of_base", "try_effect",
-    "untried_twins", "worth_it",
+    "untried", "untried_twins", "worth_it",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
@@ -40,6 +40,8 @@ _START = 0.25
 _LEADERS, _BEHIND = 3, 15.0
 # Gains below this are real at best, never worth a parameter [nat]; scores below this are never beyond doubt.
 _PRACTICAL, _CRITICAL = 3.0, 3.0
+# A near twin that gains this share of what the winner gains is named with it.
+_NEARLY_ALL = 0.9
 
 
 @dataclass(frozen=True)
@@ -120,15 +122,22 @@ def untried_twins(
     A twin that the path absorbs has hardly a score, and would never be refitted for it: a constant error of bearings is
     a heading. Of twins with many places only the one with the greatest score is returned.
     """
-    tried = [trial.effect for trial in trials if trial.effect is not None]
     order = [int(k) for k in np.argsort(-np.abs(z))]
     made: dict[str, tuple[Effect, float]] = {}
-    for k in order:
-        effect = wanted[k].effect
-        twins = effect.name in best.near_twins or best.name in effect.near_twins
-        if twins and effect.name != best.name and not any(_same(effect, one) for one in tried):
-            made.setdefault(effect.name, (effect, float(z[k])))
+    for effect, deviation in untried([(wanted[k].effect, float(z[k])) for k in order], trials):
+        if _near_twins(effect, best):
+            made.setdefault(effect.name, (effect, deviation))
     return list(made.values())
+
+
+def untried(chosen: Sequence[tuple[Effect, float]], trials: Sequence[Trial]) -> list[tuple[Effect, float]]:
+    """Return those effects that were not refitted yet, with their deviations."""
+    tried = [trial.effect for trial in trials if trial.effect is not None]
+    return [(effect, z) for effect, z in chosen if not any(_same(effect, one) for one in tried)]
+
+
+def _near_twins(one: Effect, other: Effect) -> bool:
+    return one.name != other.name and (one.name in other.near_twins or other.name in one.near_twins)
 
 
 def _same(one: Effect, other: Effect) -> bool:
@@ -255,7 +264,9 @@ def _start_values(effect: Effect, z: float) -> Float:
 def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
     """Return the trial that the fit part names, and those that the whole log cannot tell from it.
 
-    An absorber wins only when it beats the best structured candidate by more than two standard errors.
+    An absorber wins only when it beats the best structured candidate by more than two standard errors. What the whole
+    log cannot tell from the winner lies less than two standard errors behind, or gains nearly as much and is a twin of
+    it that the catalogue knows.
     """
     if not trials:
         return None, []
@@ -274,7 +285,9 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
         if best.effect.shape and trial.effect is not None and trial.effect.name == best.effect.name:
             continue  # the same effect, found from another place
         lead = paired_gain(best.rows, trial.rows, slice(None))
-        if lead.total < 2.0 * lead.se:
+        # The error of a lead knows nothing of what both models still lack; near twins need a clearer one.
+        known = trial.effect is not None and _near_twins(best.effect, trial.effect)
+        if lead.total < 2.0 * lead.se or (known and trial.on_all.total > _NEARLY_ALL * best.on_all.total):
             twins.append(trial)
     return best, twins
 

@@ -31,6 +31,7 @@ from pmcl.criticism.naming import (
     thoroughly,
     trial_of_base,
     try_effect,
+    untried,
     untried_twins,
     worth_it,
 )
@@ -253,7 +254,7 @@ class _Loop:
         trials = self._tried(current, shortlist(self.wanted, z, scanned))
         best, _ = choose(trials)
         if best is not None and best.effect is not None and best.effect.absorber:
-            trials += self._tried(current, shortlist(self.wanted, z, scanned, more=True))
+            trials += self._tried(current, untried(shortlist(self.wanted, z, scanned, more=True), trials))
             best, _ = choose(trials)
         if best is not None and best.effect is not None:
             trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials))

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from pmcl.criticism.fit import BRIEF, quick_fit
-from pmcl.criticism.naming import spare_effects, trial_of_base, try_effect, untried_twins
+from pmcl.criticism.heldout import paired_gain
+from pmcl.criticism.naming import Trial, choose, spare_effects, trial_of_base, try_effect, untried, untried_twins
 from pmcl.criticism.scores import directions
 from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.selection import effect_named
@@ -38,6 +39,43 @@ def test_of_a_twin_with_many_places_the_likeliest_is_refitted():
     places = [(effect.where, value) for effect, value in untried_twins(best, wanted, z, []) if effect.where]
     assert ({"landmarks": (5,)}, 3.0) in [(dict(where), value) for where, value in places]
     assert all(value == 3.0 for where, value in places if "landmarks" in where)
+
+
+def made_trial(name, log, rows, base):
+    """A trial whose model scores the rows as told; the first half is the fit part."""
+    half = len(rows) // 2
+    gains = [paired_gain(rows, base, part) for part in (slice(0, half), slice(half, None), slice(None))]
+    fit = SimpleNamespace(bound=SimpleNamespace(lengths=(half,)))
+    return Trial(effect_named(name, log), None, fit, rows, 5.0, *gains)
+
+
+def test_what_is_named_with_the_winner():
+    """Whatever is less than two standard errors behind; and known near twins unless they gain much less."""
+    log, rng = simulate_landmark_field(60, 1, bearings=True), np.random.default_rng(1)
+    base = rng.normal(0.0, 1.0, 1000)
+    gain = 0.5 + 0.1 * rng.standard_normal(1000)
+    best = made_trial("sensor-yaw", log, base + gain, base)
+
+    def named(name, share):
+        other = made_trial(name, log, base + share * gain, base)
+        found, twins = choose([best, other])
+        assert found is best
+        return twins == [other]
+
+    # Every lead here is many standard errors long.
+    assert named("odometry-side-drift", 0.95)
+    assert not named("odometry-side-drift", 0.8)
+    assert not named("odometry-turn-scale", 0.95)
+    alike = made_trial("odometry-turn-scale", log, base + gain - 0.01 + 0.5 * rng.standard_normal(1000), base)
+    assert choose([best, alike])[1] == [alike]
+
+
+def test_nothing_is_refitted_twice():
+    log = simulate_landmark_field(60, 1, bearings=True)
+    base = np.zeros(100)
+    trials = [made_trial(name, log, base, base) for name in ("sensor-yaw", "bearing-bias")]
+    offered = [(effect_named(name, log), 1.0) for name in ("sensor-yaw", "landmark-range-bias")]
+    assert [effect.name for effect, _ in untried(offered, trials)] == ["landmark-range-bias"]
 
 
 def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():

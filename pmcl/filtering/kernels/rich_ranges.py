@@ -213,7 +213,8 @@ def _short_density(sensor, z, expected):
 @kernel
 def _is_mixture(sensor, beam):
     weight = abs(sensor.outlier_weight[beam]) + sensor.no_echo_weight[beam] + sensor.short_weight[beam]
-    return weight + sensor.specular_weight[beam] + sensor.talk_weight[beam] != 0.0 or any_nonzero(sensor.obstacles[:, 3])
+    weight += sensor.specular_weight[beam] + sensor.talk_weight[beam]
+    return weight != 0.0 or any_nonzero(sensor.obstacles[:, 3])
 
 
 @kernel
