@@ -23,8 +23,8 @@ from pmcl.models.robot_model import BoundModel, RobotModel
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "Trial", "choose", "leaders", "scan", "shortlist", "spare_effects", "thoroughly", "trial_of_base", "try_effect",
-    "untried", "untried_twins", "worth_it",
+    "Trial", "choose", "leaders", "of_the_whole_robot", "scan", "shortlist", "spare_effects", "thoroughly",
+    "trial_of_base", "try_effect", "untried", "untried_twins", "worth_it",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
@@ -112,6 +112,20 @@ def shortlist(
     scanned_first = [wanted[k].effect for k in _distinct(wanted, by_scan)]
     fresh = [effect for effect in scanned_first if not any(_same(effect, one) for one in chosen)]
     return [(effect, known[id(effect)]) for effect in chosen + fresh[:_BY_SCAN]]
+
+
+def of_the_whole_robot(
+    wanted: Sequence[Direction], z: Float, *, carrier: str = "", absorbers: bool = False
+) -> list[tuple[Effect, float]]:
+    """Return the candidates that have no place, of one carrier if that is given, greatest scores first.
+
+    A steady error of the mount or of odometry is mostly taken up by the path: it may have hardly a score, and show
+    only when it is refitted.
+    """
+    order = [int(k) for k in np.argsort(-np.abs(z))]
+    able = [k for k in order if not wanted[k].effect.where and (absorbers or not wanted[k].effect.absorber)]
+    chosen = [wanted[k] for k in _distinct(wanted, able) if carrier in ("", wanted[k].effect.carrier)]
+    return [(direction.effect, float(z[wanted.index(direction)])) for direction in chosen]
 
 
 def untried_twins(

@@ -21,7 +21,9 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
-__all__ = ["Judged", "Settings", "candidate_directions", "criticised", "judged_again", "key_of", "mapped"]
+__all__ = [
+    "Judged", "Settings", "candidate_directions", "criticised", "judged_again", "key_of", "mapped", "split_again",
+]  # fmt: skip
 
 # An alarm whose p-value (all families considered) is above this is looked at again with so many times the simulated
 # logs: thirty know the spread of a number to an eighth only, and a p-value of 1 % may be one of 10 %.
@@ -134,6 +136,11 @@ def _judged(
 ) -> Judged:
     on_fit = judge(found, null, wanted, level=settings.level, rows=split)
     return Judged(found, judge(found, null, wanted, level=settings.level), on_fit.z, tuple(null))
+
+
+def split_again(before: Judged, wanted: Sequence[Direction], split: int, settings: Settings) -> Judged:
+    """Return the same with another first row of the held-out part."""
+    return _judged(before.evidence, before.null, wanted, split, settings)
 
 
 def candidate_directions(log: RobotLog, fit: Fit, offered: Sequence[Effect]) -> tuple[Direction, ...]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmcl.criticism.assemble import (
     candidates_of,
@@ -25,6 +26,7 @@ from pmcl.criticism.naming import (
     Trial,
     choose,
     leaders,
+    of_the_whole_robot,
     scan,
     shortlist,
     spare_effects,
@@ -35,13 +37,21 @@ from pmcl.criticism.naming import (
     untried_twins,
     worth_it,
 )
-from pmcl.criticism.passes import Settings, candidate_directions, criticised, judged_again, mapped
+from pmcl.criticism.passes import (
+    Judged,
+    Settings,
+    candidate_directions,
+    criticised,
+    judged_again,
+    mapped,
+    split_again,
+)
 from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
 from pmcl.criticism.scores import Direction, directions
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called, sentence_of, verdict_of
-from pmcl.errors import CriticismError
+from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import predict_readings
+from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.effect import Effect
@@ -50,8 +60,13 @@ from pmcl.posterior.calibrate import calibrate
 
 __all__ = ["criticize"]
 
+Float = NDArray[np.float64]
+
 _LEAST_ROWS, _LEAST_READINGS = 60, 20
-_FIT_SHARE = 0.6
+# Share of the rows on which models are fitted; and the share for an effect that comes too late for that.
+_FIT_SHARE, _LATER = 0.6, 0.8
+# A score that is remarkable comes late when this share of it is not in the fit part; evenly spread, 0.77 would be.
+_ALREADY = 0.5
 _FORMULAS = 4
 # Parameters of effects cost a density for each proposal, and transport moves change them as well.
 _ROUNDS_OF_METROPOLIS = 2
@@ -166,21 +181,36 @@ class _Loop:
         self.notes: list[str] = []
         self.steps: list[Step] = []
         self.found: list[FoundEffect] = []
+        self.wanted: tuple[Direction, ...] = ()
+        self.judged: Judged
+        # What each step's model foresees, by which gaps are told in the end.
+        self.foreseen: list[tuple[Predictions, Float]] = []
 
     def run(self, rounds: int, joint: bool, draws: int) -> Criticism:
         """Go through the loop."""
         self.settings.tell("fitting the base model")
         fit = quick_fit(self.base.bind(self.log), self.settings.seed)
-        particles, note = particles_that_follow(fit.bound, fit.theta, self.settings.particles, self.settings.seed)
-        if note:
-            self.notes.append(note)
-            self.settings = replace(self.settings, particles=particles)
+        recovered: tuple[Trial, list[Trial]] | None = None
+        try:
+            self._follow(fit)
+        except FilterError as lost:
+            recovered = self._found_again(fit)
+            if recovered is None:
+                raise
+            at = str(lost).partition(" at ")[2].partition(";")[0]
+            self.notes.append(f"without {recovered[0].model.effects[-1].name} the filter loses the robot at {at}")
         first = last = self._pass(fit)
         seen = first.evidence.predictions
         if len(set(zip(seen.kind.tolist(), seen.channel.tolist(), strict=True))) < 2:
             self.notes.append("one channel only: its own errors cannot be told from those of the path")
         current: Trial | None = None
-        for number in range(rounds + 1):
+        if recovered is not None:
+            trial, trials = recovered
+            self.found.append(found_effect(trial, choose(trials)[1], last.judgement, self.wanted))
+            name = trial.model.effects[-1].name
+            current = self._added(last, trial, trials, f"add {name}: with it the filter follows")
+            last = self._refitted(last, current, rounds)
+        for number in range(int(recovered is not None), rounds + 1):
             alarms = last.judgement.raised
             told = self._told(last)
             if told is not None and number < rounds:
@@ -194,6 +224,13 @@ class _Loop:
             self.settings.tell(f"alarm: {alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}")
             current = current or self._trial_of(last)
             accepted, trials = self._named(last, current)
+            if accepted is None and self._comes_late(last):
+                self._split_at(last, _LATER)
+                late = self._trial_of(last)
+                accepted, more = self._named(last, late)
+                trials, current = (more, late) if accepted is not None else (trials, current)
+                if accepted is None:
+                    self._split_at(last, _FIT_SHARE)
             if accepted is None and last.judgement.p_value <= WORTH_A_FORMULA:
                 accepted, known, more = self._formula(last, current)
                 trials += more
@@ -206,6 +243,53 @@ class _Loop:
             current = self._added(last, accepted, trials, f"add {accepted.effect.name}", before=current)
             last = self._refitted(last, current, number)
         return self._result(first, last, joint, draws)
+
+    def _follow(self, fit: Fit) -> None:
+        """Take as many particles as follow the robot; raise FilterError where none do."""
+        particles, note = particles_that_follow(fit.bound, fit.theta, self.settings.particles, self.settings.seed)
+        if note:
+            self.notes.append(note)
+            self.settings = replace(self.settings, particles=particles)
+
+    def _found_again(self, fit: Fit) -> tuple[Trial, list[Trial]] | None:
+        """Look for an effect of the motion with which the filter follows a robot that it loses without.
+
+        Scores of a lost filter mean nothing, but a trajectory that is updated with the parameters is not lost so
+        easily: all effects of the motion are refitted. Return the best and all trials, or None.
+        """
+        self.settings.tell("the filter loses the robot: refitting all effects of the motion")
+        self.wanted = candidate_directions(self.log, fit, self.offered)
+        split, seed, particles = self.split, self.settings.seed + 100, self.settings.comparing
+        try:
+            current = trial_of_base(
+                self.base, self.log, split, seed=seed, particles=particles, theta=fit.theta, path=fit.path
+            )
+            nothing = np.zeros(len(self.wanted))
+            offered = of_the_whole_robot(self.wanted, nothing, carrier="motion", absorbers=True)
+            trials = self._settled(current, self._tried(current, offered))
+            best, _ = choose(trials)
+            if best is None or not best.on_heldout.significant:
+                return None
+            self._follow(quick_fit(best.model.bind(self.log), seed, theta=best.fit.theta, path=fit.path))
+        except FilterError:
+            return None
+        return best, trials
+
+    def _comes_late(self, last: Pass) -> bool:
+        """Tell whether a candidate is remarkable in the whole log, and hardly so in the part that is fitted on."""
+        if self.split != int(_FIT_SHARE * self.log.n_steps):
+            return False
+        later = int(_LATER * self.log.n_steps)
+        if _readings(self.log, slice(later, None)) < _LEAST_READINGS or last.judgement.p_value > WORTH_A_FORMULA:
+            return False
+        whole, early = np.abs(last.judgement.z), np.abs(self.judged.z)
+        return bool(((whole > last.judgement.critical_z) & (early < _ALREADY * whole)).any())
+
+    def _split_at(self, last: Pass, share: float) -> None:
+        """Hold out other rows."""
+        self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows")
+        self.split = int(share * self.log.n_steps)
+        self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
 
     def _added(
         self, last: Pass, accepted: Trial, trials: list[Trial], decision: str, before: Trial | None = None
@@ -260,6 +344,12 @@ class _Loop:
             trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials))
         trials = self._settled(current, trials)
         best, twins = choose(trials)
+        if (best is None or not worth_it(best, last.judgement.critical_z)) and (
+            last.judgement.p_value <= WORTH_A_FORMULA
+        ):
+            trials += self._tried(current, untried(of_the_whole_robot(self.wanted, z), trials))
+            trials = self._settled(current, trials)
+            best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
             return None, trials
         found = found_effect(best, twins, last.judgement, self.wanted)
@@ -333,12 +423,19 @@ class _Loop:
         bound = current.model.bind(self.log)
         rng = make_rng(np.random.SeedSequence((self.settings.seed, 4)))
         seen = predict_readings(bound.tables(current.fit.theta)[0], self.log.n_steps, self.settings.comparing, rng)
-        gap = gap_of(seen, seen.pit(rng), slice(self.split, None))
+        pit = seen.pit(rng)
+        self.foreseen.append((seen, pit))
+        gap = gap_of(seen, pit, slice(self.split, None))
         names = tuple(effect.name for effect in bound.model.effects)
         listed = candidates_of(last.judgement, self.wanted, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
     def _result(self, first: Pass, last: Pass, joint: bool, draws: int) -> Criticism:
+        # All of one held-out part, though it may have become a shorter one on the way.
+        heldout = slice(self.split, None)
+        self.steps = [
+            replace(step, gap=gap_of(*seen, heldout)) for step, seen in zip(self.steps, self.foreseen, strict=True)
+        ]
         before, after, posterior = estimates(first.fit), estimates(last.fit), None
         model = last.fit.bound.model
         if joint and self.found:

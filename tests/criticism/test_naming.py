@@ -8,7 +8,16 @@ import numpy as np
 
 from pmcl.criticism.fit import BRIEF, quick_fit
 from pmcl.criticism.heldout import paired_gain
-from pmcl.criticism.naming import Trial, choose, spare_effects, trial_of_base, try_effect, untried, untried_twins
+from pmcl.criticism.naming import (
+    Trial,
+    choose,
+    of_the_whole_robot,
+    spare_effects,
+    trial_of_base,
+    try_effect,
+    untried,
+    untried_twins,
+)
 from pmcl.criticism.scores import directions
 from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.selection import effect_named
@@ -76,6 +85,21 @@ def test_nothing_is_refitted_twice():
     trials = [made_trial(name, log, base, base) for name in ("sensor-yaw", "bearing-bias")]
     offered = [(effect_named(name, log), 1.0) for name in ("sensor-yaw", "landmark-range-bias")]
     assert [effect.name for effect, _ in untried(offered, trials)] == ["landmark-range-bias"]
+
+
+def test_effects_of_the_whole_robot_are_those_without_a_place():
+    log = simulate_amigobot(60.0, 1)
+    wanted = directions(candidates(log))
+    z = np.arange(len(wanted), dtype=float)
+    names = [effect.name for effect, _ in of_the_whole_robot(wanted, z)]
+    assert {"sensor-offset", "odometry-turn-scale", "range-bias", "wheel-slip"} <= set(names)
+    assert not {"beam-bias", "wall-moved", "slippery-patch", "range-noise-correlated"} & set(names)
+    assert len(set(names)) == len(names)
+    found = [deviation for _, deviation in of_the_whole_robot(wanted, z)]
+    assert found == sorted(found, reverse=True)
+    moving = of_the_whole_robot(wanted, z, carrier="motion", absorbers=True)
+    assert "turn-noise-grows-with-turn" in [effect.name for effect, _ in moving]
+    assert {effect.carrier for effect, _ in moving} == {"motion"}
 
 
 def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():

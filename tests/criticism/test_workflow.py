@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from pmcl.criticism import workflow
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import CriticismError, FilterError, PmclError
 from pmcl.logs.robot_log import RobotLog
@@ -108,6 +109,34 @@ def test_model_with_the_effect_is_an_ordinary_model(found):
     assert "range_scale" in bound.names
     theta = np.array([result.after[name].mean for name in bound.names])
     assert bound.log_prior(theta) > -np.inf
+
+
+@pytest.mark.slow
+def test_an_effect_that_begins_after_the_fit_part_is_named_on_a_longer_one():
+    """The noise grows at 60 % of the log, just where the part on which names are chosen usually ends."""
+    result = small(hidden("range-noise-changes-in-time=large"))
+    assert result.effects[0].name == "range-noise-changes-in-time"
+    assert result.split == 240
+    assert result.effects[0].parameters["range_noise_changes_in_time_when"].mean == pytest.approx(0.6, abs=0.03)
+    assert result.steps[-1].gap.log_score_per_reading > result.steps[0].gap.log_score_per_reading + 0.05
+
+
+@pytest.mark.slow
+def test_a_filter_that_is_lost_without_an_effect_finds_the_robot_with_it(monkeypatch):
+    follow = workflow.particles_that_follow
+
+    def lost_without(bound, theta, particles, seed):
+        if "turn_noise_grows_with_turn" not in bound.names:
+            raise FilterError("made: the filter loses the robot at t=77 s; restart with more particles")
+        return follow(bound, theta, particles, seed)
+
+    monkeypatch.setattr(workflow, "particles_that_follow", lost_without)
+    result = small(hidden("turn-noise-grows-with-turn=0.5"))
+    assert result.effects[0].name == "turn-noise-grows-with-turn"
+    assert "without turn-noise-grows-with-turn the filter loses the robot at t=77 s" in result.notes
+    assert result.steps[0].decision == "add turn-noise-grows-with-turn: with it the filter follows"
+    with pytest.raises(FilterError, match="t=77 s"):
+        small(hidden("", 120.0))
 
 
 # What cannot be criticised
