@@ -3,7 +3,7 @@
     PMCL_DATA=/folder/with/recordings python run.py
 
 Two Creates of one fleet (UTIAS MRCLAM, data set 6) and a robot with a laser (Lost in the Woods). The critic never reads
-motion capture; the last column of results.csv does. A robot whose JSON file is there is not criticised again.
+motion capture; errors.csv and true_path.csv do. A robot whose JSON file is there is not criticised again.
 """
 
 import csv
@@ -35,9 +35,35 @@ def recordings() -> dict[str, RobotLog]:
     }
 
 
+def along_the_true_path(log: RobotLog) -> tuple[float, float]:
+    """Return how far the robot slides to its left for each metre ahead, and the median error of bearings [rad].
+
+    Both with motion capture's heading, whose zero is where its markers were said to point.
+    """
+    pose, mount = log.dataset["true_pose"].values, log.dataset["landmark_sensor_pose"].values
+    turn = np.mod(np.diff(pose[:, 2]) + np.pi, 2 * np.pi) - np.pi
+    middle = pose[:-1, 2] + 0.5 * turn
+    step = np.diff(pose[:, :2], axis=0)
+    ahead = np.cos(middle) * step[:, 0] + np.sin(middle) * step[:, 1]
+    left = np.cos(middle) * step[:, 1] - np.sin(middle) * step[:, 0]
+    # Steps that are nearly straight; a turning robot slides by the mount of its markers, too.
+    used = np.isfinite(left) & (log.odometry[1:, 0] > 0.02) & (np.abs(log.odometry[1:, 2]) < 0.02)
+    heading = pose[:, 2][:, None]
+    x = pose[:, 0][:, None] + mount[0] * np.cos(heading) - mount[1] * np.sin(heading)
+    y = pose[:, 1][:, None] + mount[0] * np.sin(heading) + mount[1] * np.cos(heading)
+    at = log.landmarks.positions
+    error = log.dataset["landmark_bearing"].values - np.arctan2(at[:, 1] - y, at[:, 0] - x) + heading - mount[2]
+    return left[used].sum() / ahead[used].sum(), float(np.nanmedian(np.mod(error + np.pi, 2 * np.pi) - np.pi))
+
+
 def main() -> None:
     """Criticise what has no result yet."""
-    for name, log in recordings().items():
+    logs = recordings()
+    with (HERE / "true_path.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["robot", "left_per_metre_ahead", "median_bearing_error"])
+        writer.writerows([name, *(f"{value:.4f}" for value in along_the_true_path(log))] for name, log in logs.items())
+    for name, log in logs.items():
         path = HERE / f"{name.replace(' ', '_').lower()}.json"
         if path.exists():
             continue
