@@ -1,0 +1,245 @@
+"""The search for a name: what is refitted, on which rows, and what counts as an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pmcl.criticism.assemble import found_effect
+from pmcl.criticism.fit import Fit, quick_fit
+from pmcl.criticism.formulas import formulas
+from pmcl.criticism.naming import (
+    Trial,
+    choose,
+    leaders,
+    of_the_whole_robot,
+    scan,
+    shortlist,
+    thoroughly,
+    trial_of_base,
+    try_effect,
+    untried,
+    untried_twins,
+    worth_it,
+)
+from pmcl.criticism.passes import (
+    Judged,
+    Settings,
+    candidate_directions,
+    criticised,
+    judged_again,
+    mapped,
+    split_again,
+)
+from pmcl.criticism.result import FoundEffect, Pass
+from pmcl.criticism.scores import Direction, directions
+from pmcl.criticism.verdict import WORTH_A_FORMULA, called
+from pmcl.errors import CriticismError, FilterError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
+
+__all__ = ["FIT_SHARE", "LATER", "Outcome", "Search"]
+
+# Share of the rows on which models are fitted; and the share for an effect that comes too late for that.
+FIT_SHARE, LATER = 0.6, 0.8
+_LEAST_READINGS = 20
+# A score that is remarkable comes late when this share of it is not in the fit part; evenly spread, 0.77 would be.
+_ALREADY = 0.5
+_FORMULAS = 4
+# Formulas compete with an absorber when their score is at least this share of its own.
+_NEARLY = 0.5
+
+
+class Outcome(NamedTuple):
+    """What a search came to.
+
+    Attributes
+    ----------
+    accepted : Trial or None
+        The model with the effect that explains the alarms.
+    found : FoundEffect or None
+        What is known of that effect.
+    trials : list of Trial
+        All that was refitted.
+    """
+
+    accepted: Trial | None
+    found: FoundEffect | None
+    trials: list[Trial]
+
+
+class Search:
+    """Searches through the candidates for one log.
+
+    Attributes
+    ----------
+    log : RobotLog
+        The log.
+    offered : tuple of Effect
+        What the catalogue offers.
+    settings : Settings
+        Of the run.
+    split : int
+        First row of the held-out part.
+    wanted : tuple of Direction
+        The candidates of the last pass,
+    judged : Judged
+        and what it said of them.
+    """
+
+    def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
+        self.log, self.offered, self.settings = log, tuple(offered), settings
+        self.split = int(FIT_SHARE * log.n_steps)
+        parts = [_readings(log, rows) for rows in (slice(0, self.split), slice(self.split, None))]
+        if min(parts) < _LEAST_READINGS:
+            raise CriticismError(
+                f"{log.where}: expected at least {_LEAST_READINGS} readings in the first 60 % of the log and in the "
+                f"rest, but got {parts[0]} and {parts[1]}; record more"
+            )
+        self.wanted: tuple[Direction, ...] = ()
+        self.judged: Judged
+
+    def criticised(self, fit: Fit) -> Pass:
+        """Criticise a fit of the whole log."""
+        self.wanted = candidate_directions(self.log, fit, self.offered)
+        self.judged = criticised(self.log, fit, self.wanted, self.split, self.settings)
+        return Pass(fit, self.judged.evidence, self.judged.judgement)
+
+    def trial_of(self, last: Pass) -> Trial:
+        """Fit the model of a pass on the fit part; gaps are always those of held-out data."""
+        return trial_of_base(
+            last.fit.bound.model, self.log, self.split, seed=self.settings.seed + 100,
+            particles=self.settings.comparing, theta=last.fit.theta, path=last.fit.path,
+        )  # fmt: skip
+
+    def told(self, last: Pass) -> tuple[Trial, FoundEffect] | None:
+        """Return the model with an effect that the data show by themselves, as rounding shows in their digits.
+
+        How readings scatter says little about such an effect; it is added unless it makes predictions worse.
+        """
+        shown = [one.effect for one in self.wanted if one.effect.tells is not None and one.effect.tells(self.log)]
+        for effect in shown:
+            (trial,) = self._tried(self.trial_of(last), [(effect, 0.0)]) or (None,)
+            if trial is not None and trial.on_all.total > -max(3.0, 2.0 * trial.on_all.se):
+                return trial, replace(found_effect(trial, (), last.judgement, self.wanted), p_value=0.0)
+        return None
+
+    def named(self, last: Pass, current: Trial) -> Outcome:
+        """Look in the catalogue for what explains the alarms of a pass; its model is fitted as `current`."""
+        settings, z = self.settings, self.judged.z
+        scanned = scan(current.fit.bound, current.fit.theta, self.wanted, z, settings.seed, settings.particles)
+        trials = self._tried(current, shortlist(self.wanted, z, scanned))
+        best, _ = choose(trials)
+        if best is not None and best.effect is not None and best.effect.absorber:
+            trials += self._tried(current, untried(shortlist(self.wanted, z, scanned, more=True), trials))
+            best, _ = choose(trials)
+        if best is not None and best.effect is not None:
+            trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials))
+        trials = self._settled(current, trials)
+        best, twins = choose(trials)
+        if (best is None or not worth_it(best, last.judgement.critical_z)) and (
+            last.judgement.p_value <= WORTH_A_FORMULA
+        ):
+            trials += self._tried(current, untried(of_the_whole_robot(self.wanted, z), trials))
+            trials = self._settled(current, trials)
+            best, twins = choose(trials)
+        if best is None or not worth_it(best, last.judgement.critical_z):
+            return Outcome(None, None, trials)
+        found: FoundEffect | None = found_effect(best, twins, last.judgement, self.wanted)
+        if best.effect is not None and best.effect.absorber:
+            # What looks like noise with a memory may follow a rule that the catalogue does not hold.
+            ruled = self.formula(last, current, of_noise=False, beyond=_NEARLY * abs(best.z))
+            trials += ruled.trials
+            if ruled.accepted is not None and ruled.accepted.merit > best.merit:
+                best, found = ruled.accepted, ruled.found
+        return Outcome(best, found, trials)
+
+    def formula(self, last: Pass, current: Trial, of_noise: bool = True, beyond: float = 0.0) -> Outcome:
+        """Look outside the catalogue.
+
+        Only formulas whose score is remarkable, and `beyond` a value, are tried.
+        """
+        offered = formulas(self.log, last.fit.tables, last.fit.path, of_noise=of_noise)
+        wanted: tuple[Direction, ...] = directions(offered)
+        if not wanted:
+            return Outcome(None, None, [])
+        _, judged, z, _ = judged_again(self.judged, wanted, self.split, self.settings)
+        least = max(judged.critical_z, beyond)
+        order = [int(k) for k in np.argsort(-np.abs(z)) if abs(judged.z[k]) > least]
+        trials = self._tried(current, [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]])
+        trials = self._settled(current, trials)
+        best, _ = choose(trials)
+        if best is None or not worth_it(best, judged.critical_z):
+            return Outcome(None, None, trials)
+        return Outcome(best, found_effect(best, (), judged, wanted), trials)
+
+    def found_again(self, fit: Fit, follow: Callable[[Fit], None]) -> tuple[Trial, list[Trial]] | None:
+        """Look for an effect of the motion with which the filter follows a robot that it loses without.
+
+        Scores of a lost filter mean nothing, but a trajectory that is updated with the parameters is not lost so
+        easily: all effects of the motion are refitted. Return the best and all trials, or None. `follow` raises
+        FilterError where a filter does not.
+        """
+        self.settings.tell("the filter loses the robot: refitting all effects of the motion")
+        self.wanted = candidate_directions(self.log, fit, self.offered)
+        split, seed, particles = self.split, self.settings.seed + 100, self.settings.comparing
+        try:
+            current = trial_of_base(
+                fit.bound.model, self.log, split, seed=seed, particles=particles, theta=fit.theta, path=fit.path
+            )
+            nothing = np.zeros(len(self.wanted))
+            offered = of_the_whole_robot(self.wanted, nothing, carrier="motion", absorbers=True)
+            trials = self._settled(current, self._tried(current, offered))
+            best, _ = choose(trials)
+            if best is None or not best.on_heldout.significant:
+                return None
+            follow(quick_fit(best.model.bind(self.log), seed, theta=best.fit.theta, path=fit.path))
+        except FilterError:
+            return None
+        return best, trials
+
+    def comes_late(self, last: Pass) -> bool:
+        """Tell whether a candidate is remarkable in the whole log, and hardly so in the part that is fitted on."""
+        if self.split != int(FIT_SHARE * self.log.n_steps):
+            return False
+        later = int(LATER * self.log.n_steps)
+        if _readings(self.log, slice(later, None)) < _LEAST_READINGS or last.judgement.p_value > WORTH_A_FORMULA:
+            return False
+        whole, early = np.abs(last.judgement.z), np.abs(self.judged.z)
+        return bool(((whole > last.judgement.critical_z) & (early < _ALREADY * whole)).any())
+
+    def split_at(self, share: float) -> None:
+        """Hold out other rows."""
+        self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows")
+        self.split = int(share * self.log.n_steps)
+        self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
+
+    def _tried(self, current: Trial, chosen: list[tuple[Effect, float]]) -> list[Trial]:
+        if chosen:
+            self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in chosen))
+
+        def one(k: int) -> Trial | None:
+            effect, z = chosen[k]
+            seed, particles = self.settings.seed + 100, self.settings.comparing
+            return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles)
+
+        return [trial for trial in mapped(one, len(chosen), self.settings.workers) if trial is not None]
+
+    def _settled(self, current: Trial, trials: list[Trial]) -> list[Trial]:
+        """Return the trials, those that lead fitted thoroughly."""
+        first = leaders(trials)
+
+        def one(k: int) -> Trial:
+            seed, particles = self.settings.seed + 100, self.settings.comparing
+            return thoroughly(first[k], current, self.log, self.split, seed=seed, particles=particles)
+
+        new = mapped(one, len(first), self.settings.workers)
+        return [next((n for n, old in zip(new, first, strict=True) if old is trial), trial) for trial in trials]
+
+
+def _readings(log: RobotLog, rows: slice) -> int:
+    names = ("range", "landmark_range", "landmark_bearing", "landmark_size")
+    return sum(int((~np.isnan(log.dataset[name].values[rows])).sum()) for name in names if name in log.dataset)
