@@ -110,6 +110,8 @@ def gather(
     rng = make_rng(seed)
     made = predict_readings(tables, bound.lengths[0], particles, rng)
     drawn = draw_paths(tables, made.filtered, paths, rng)
+    # Of some tens of passes that are kept at once each would hold on to all of its particles.
+    made = made.without_particles()
     columns = np.ascontiguousarray(drawn.transpose(0, 2, 1))
     path = drawn.mean(axis=0)
     of_rows = row_covariates(log, path)

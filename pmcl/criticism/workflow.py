@@ -255,7 +255,7 @@ class _Loop:
         rng = make_rng(np.random.SeedSequence((self.settings.seed, 4)))
         seen = predict_readings(bound.tables(current.fit.theta)[0], self.log.n_steps, self.settings.comparing, rng)
         pit = seen.pit(rng)
-        self.foreseen.append((seen, pit))
+        self.foreseen.append((seen.without_particles(), pit))
         gap = gap_of(seen, pit, slice(self.search.split, None))
         names = tuple(effect.name for effect in bound.model.effects)
         listed = candidates_of(last.judgement, self.search.wanted, trials, accepted)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -101,6 +101,14 @@ class Predictions:
     log_score: Float
     low: Float
     high: Float
+
+    def without_particles(self) -> Predictions:
+        """Return the same with a pass whose particles are forgotten; they are most of what it holds."""
+        nothing = replace(
+            self.filtered, particles=self.filtered.particles[:0].copy(), log_weights=np.empty((0, 0)),
+            ancestors=np.empty((0, 0), dtype=np.uint32),
+        )  # fmt: skip
+        return replace(self, filtered=nothing)
 
     def pit(self, rng: np.random.Generator) -> Float:
         """Return probability integral transforms, (N,): uniform and independent when the model is right.

@@ -197,3 +197,7 @@ def test_part_by_part_is_the_joint_density():
     rows += smc.sensor_terms(tables.sensors[0], columns)
     np.testing.assert_allclose(rows.sum(axis=1), [log_joint(tables, path) for path in paths], rtol=1e-10)
     np.testing.assert_allclose(rows[1], smc.joint_terms(tables, paths[1])[1], rtol=1e-8)
+    light = made.without_particles()
+    assert light.filtered.particles.size == light.filtered.log_weights.size == light.filtered.ancestors.size == 0
+    np.testing.assert_array_equal(light.pit(make_rng(1)), made.pit(make_rng(1)))
+    np.testing.assert_array_equal(light.filtered.log_increments, made.filtered.log_increments)
