@@ -138,6 +138,10 @@ def test_one_by_one_is_the_same_filter(kind):
     readings = log.n_readings if kind == "walls" else 2 * log.n_readings
     assert made.log_score.size == readings
     assert np.all(np.diff(made.time) >= 0)
+    light = made.without_particles()
+    assert light.filtered.particles.size == light.filtered.log_weights.size == light.filtered.ancestors.size == 0
+    np.testing.assert_array_equal(light.pit(make_rng(1)), made.pit(make_rng(1)))
+    np.testing.assert_array_equal(light.filtered.log_increments, made.filtered.log_increments)
     assert not np.isnan(made.reading).any()
 
 
@@ -197,7 +201,3 @@ def test_part_by_part_is_the_joint_density():
     rows += smc.sensor_terms(tables.sensors[0], columns)
     np.testing.assert_allclose(rows.sum(axis=1), [log_joint(tables, path) for path in paths], rtol=1e-10)
     np.testing.assert_allclose(rows[1], smc.joint_terms(tables, paths[1])[1], rtol=1e-8)
-    light = made.without_particles()
-    assert light.filtered.particles.size == light.filtered.log_weights.size == light.filtered.ancestors.size == 0
-    np.testing.assert_array_equal(light.pit(make_rng(1)), made.pit(make_rng(1)))
-    np.testing.assert_array_equal(light.filtered.log_increments, made.filtered.log_increments)
