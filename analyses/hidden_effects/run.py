@@ -68,7 +68,8 @@ def pairs(place: str, given: argparse.Namespace) -> list[tuple[str, list[str]]]:
 
 def criticize_all(folder: Path, most: int | None, joint: bool) -> None:
     """Criticise every log that has no result yet."""
-    done = 0
+    # Of the code that is loaded now; the repository may go on meanwhile.
+    done, loaded = 0, version()
     for path in sorted(folder.glob("log-*.nc")):
         result, claim = path.with_suffix(".json"), path.with_suffix(".running")
         if result.exists() or (most is not None and done >= most):
@@ -84,7 +85,7 @@ def criticize_all(folder: Path, most: int | None, joint: bool) -> None:
         except PmclError as error:
             content = {"verdict": "error", "sentence": str(error), "effects": [], "steps": [], "unexplained": []}
         content["seconds"] = time.perf_counter() - started
-        content["version"] = version()
+        content["version"] = loaded
         result.write_text(json.dumps(content))
         claim.unlink()
         done += 1
