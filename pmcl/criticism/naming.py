@@ -124,8 +124,8 @@ def of_the_whole_robot(
     """
     order = [int(k) for k in np.argsort(-np.abs(z))]
     able = [k for k in order if not wanted[k].effect.where and (absorbers or not wanted[k].effect.absorber)]
-    chosen = [wanted[k] for k in _distinct(wanted, able) if carrier in ("", wanted[k].effect.carrier)]
-    return [(direction.effect, float(z[wanted.index(direction)])) for direction in chosen]
+    chosen = [k for k in _distinct(wanted, able) if carrier in ("", wanted[k].effect.carrier)]
+    return [(wanted[k].effect, float(z[k])) for k in chosen]
 
 
 def untried_twins(
