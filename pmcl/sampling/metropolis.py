@@ -72,9 +72,9 @@ def update_theta(
             priors = bound.priors if covered.size == theta.size else prior_rows(bound.priors, covered)
             metropolis_block(rng, own, steps, n_sweeps, gain, TARGET_ACCEPTANCE, priors, statistics, shares)
             theta[covered], log_step[covered], accepted[covered] = own, steps, shares
-    rest = np.setdiff1d(np.arange(theta.size), covered)
-    if rest.size == 0:
+    if covered.size == theta.size:
         return theta, log_step, accepted
+    rest = np.setdiff1d(np.arange(theta.size), covered)
 
     def log_density(trial: Float) -> float:
         prior = bound.log_prior(trial)

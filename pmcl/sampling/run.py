@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import emcee
@@ -21,13 +18,14 @@ from pmcl.sampling.chains import Chains
 from pmcl.sampling.checkpoint import check_fingerprint, fingerprint, stored_steps
 from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers
 from pmcl.sampling.move import ParticleGibbsMove
+from pmcl.sampling.pool import walker_pool
 from pmcl.sampling.stages import Plan, Stage, lost_chains, plan_stages, restarted, tuned_transports
 from pmcl.sampling.state import into_blob
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.sweep import included, start_chain
 from pmcl.sampling.transport import Transport
 
-__all__ = ["run_ensemble", "run_particle_gibbs", "walker_pool"]
+__all__ = ["run_ensemble", "run_particle_gibbs"]
 
 _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
@@ -43,20 +41,6 @@ _STATISTICS = {
     "effective_size": "particle_ess",
     "changed": "path_update_rate",
 }
-
-
-@contextmanager
-def walker_pool(pool: Any, n_walkers: int) -> Iterator[Any]:
-    """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock."""
-    if pool is not None:
-        yield pool
-        return
-    threads = min(n_walkers, os.cpu_count() or 1)
-    if threads == 1:
-        yield None
-        return
-    with ThreadPoolExecutor(threads) as executor:
-        yield executor
 
 
 def _forbidden(theta: Float) -> float:

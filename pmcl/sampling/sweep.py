@@ -227,6 +227,6 @@ def _sweep(
 def _told(state: ChainState, infos: Sequence[SweepInfo]) -> ChainState:
     return state._replace(
         log_evidence=math.fsum(info.log_evidence for info in infos),
-        effective_size=float(np.mean([info.effective_size for info in infos])),
-        changed=float(np.mean([info.changed for info in infos])),
+        effective_size=math.fsum(info.effective_size for info in infos) / len(infos),
+        changed=math.fsum(info.changed for info in infos) / len(infos),
     )

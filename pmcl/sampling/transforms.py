@@ -30,6 +30,8 @@ class Unconstrained:
         self.low = np.array([low for low, _ in supports])
         self.high = np.array([high for _, high in supports])
         self.kind = np.where(np.isinf(self.low), _LINE, np.where(np.isinf(self.high), _HALF, _INTERVAL))
+        # Plain numbers: a loop over entries of arrays takes three times as long.
+        self._rows = list(zip(self.kind.tolist(), self.low.tolist(), self.high.tolist(), strict=True))
 
     def to_line(self, theta: Float) -> Float:
         """Return u for theta, both (..., d)."""
@@ -42,14 +44,13 @@ class Unconstrained:
 
     def from_line(self, u: Float) -> tuple[Float, float]:
         """Return theta (d,) and the log of |d theta / d u| for u (d,)."""
-        theta = u.copy()
-        log_jacobian = 0.0
-        for k in range(u.size):
-            if self.kind[k] == _HALF:
-                theta[k] = self.low[k] + math.exp(min(u[k], 700.0))
-                log_jacobian += u[k]
-            elif self.kind[k] == _INTERVAL:
-                width = self.high[k] - self.low[k]
-                theta[k] = self.low[k] + width / (1.0 + math.exp(-max(min(u[k], 700.0), -700.0)))
-                log_jacobian += math.log(width) - abs(u[k]) - 2.0 * math.log1p(math.exp(-abs(u[k])))
-        return theta, log_jacobian
+        theta, log_jacobian = u.tolist(), 0.0
+        for k, (x, (kind, low, high)) in enumerate(zip(theta, self._rows, strict=True)):
+            if kind == _HALF:
+                theta[k] = low + math.exp(min(x, 700.0))
+                log_jacobian += x
+            elif kind == _INTERVAL:
+                width = high - low
+                theta[k] = low + width / (1.0 + math.exp(-max(min(x, 700.0), -700.0)))
+                log_jacobian += math.log(width) - abs(x) - 2.0 * math.log1p(math.exp(-abs(x)))
+        return np.array(theta), log_jacobian

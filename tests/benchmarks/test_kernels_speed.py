@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from pmcl.filtering.kernels.metropolis import metropolis_block
 from pmcl.filtering.particle_filter import sweep_path
 from pmcl.filtering.statistics import trajectory_statistics
+from pmcl.sampling.pool import walker_pool
 from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, linearised_at
@@ -77,6 +77,6 @@ def test_two_walkers_on_two_cores(benchmark, landmarks, n):
 
     alone()
     one = min(alone() for _ in range(5))
-    with ThreadPoolExecutor(2) as pool:
-        benchmark(lambda: list(pool.map(move, [state, state])))
+    with walker_pool(None, 2) as pool:
+        benchmark(pool.map, move, [state, state])
     benchmark.extra_info["speed_up"] = 2.0 * one / benchmark.stats["min"]

@@ -1,0 +1,77 @@
+"""The threads that advance the walkers."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+__all__ = ["WalkerThreads", "walker_pool"]
+
+
+class WalkerThreads:
+    """Threads of which the caller's is one.
+
+    An emcee step takes a few milliseconds, and waking a thread a tenth of one. So the calling thread does not sleep
+    while others work; it takes its share, and there is one hand-over less in each step.
+
+    Parameters
+    ----------
+    executor : ThreadPoolExecutor
+        The other threads.
+    others : int
+        How many they are.
+    """
+
+    def __init__(self, executor: ThreadPoolExecutor, others: int) -> None:
+        self._executor, self._others = executor, others
+
+    def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+        """Return the function's values in the order of the items; each thread takes the next item that nobody has.
+
+        Raises
+        ------
+        Exception
+            Whatever the function raises. No thread then begins another item, and those that are at work end first.
+        """
+        todo = deque(enumerate(items))
+        made: list[Any] = [None] * len(todo)
+
+        def work() -> None:
+            while True:
+                try:
+                    k, item = todo.popleft()
+                except IndexError:
+                    return
+                try:
+                    made[k] = function(item)
+                except BaseException:
+                    todo.clear()
+                    raise
+
+        helpers = [self._executor.submit(work) for _ in range(min(self._others, len(made) - 1))]
+        try:
+            work()
+        finally:
+            errors = [helper.exception() for helper in helpers]
+        for error in errors:
+            if error is not None:
+                raise error
+        return made
+
+
+@contextmanager
+def walker_pool(pool: Any, n_walkers: int) -> Iterator[Any]:
+    """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock."""
+    if pool is not None:
+        yield pool
+        return
+    threads = min(n_walkers, os.cpu_count() or 1)
+    if threads == 1:
+        yield None
+        return
+    with ThreadPoolExecutor(threads - 1) as executor:
+        yield WalkerThreads(executor, threads - 1)
