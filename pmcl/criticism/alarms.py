@@ -19,6 +19,10 @@ __all__ = ["Alarm", "Judgement", "judge"]
 
 Float = NDArray[np.float64]
 
+# Of a score of one place whose squares, row by row, are this many times those of half of the simulated logs these know
+# nothing: the robot was where it hardly ever is in them.
+_ELSEWHERE = 1000.0
+
 
 class Alarm(NamedTuple):
     """One family of numbers, taken together.
@@ -116,6 +120,10 @@ def judge(
     studentised with the simulated log itself left out, so that log and simulations have the same t distribution. The
     greatest deviation of a family counts as that of K' independent ones, where K' fits the greatest deviations of the
     simulated logs; a family's size need not be known, and its tail need not be seen.
+
+    A score is a martingale when the model is right, so the sum of its squared rows estimates its variance in this very
+    log. Where that is very many times what it is in half of the simulated logs, as for a patch of floor that the robot
+    hardly ever visits in them, their spread says nothing of this log, and the variance is no less than that sum.
     """
     score = np.array([one.scores[:, :rows].sum(axis=1) for one in (found, *null)])
     numbers = np.array([one.numbers for one in (found, *null)])
@@ -123,9 +131,11 @@ def judge(
     base_all = np.array([one.base.sum(axis=1) for one in (found, *null)])
     if not all(np.isfinite(values).all() for values in (score, numbers, base, base_all)):
         raise CriticismError("a score or residual is not a number; check the model's tables and its effects")
+    local = np.array([bool(one.effect.where) and "beams" not in one.effect.where for one in wanted], dtype=bool)
+    squares = np.array([(one.scores[:, :rows] ** 2).sum(axis=1) for one in (found, *null)]) * local
     # The log's own scores of fitted parameters vanish but for Monte Carlo error: what counts is that they are known.
-    score_z = _studentised(score, base, one_sided=np.array([one.one_sided for one in wanted], dtype=bool))
-    number_z = _studentised(numbers, base_all, one_sided=np.array([f.one_sided for f in found.features], dtype=bool))
+    score_z = _studentised(score, base, np.array([one.one_sided for one in wanted], dtype=bool), squares)
+    number_z = _studentised(numbers, base_all, np.array([f.one_sided for f in found.features], dtype=bool))
     families = {name: [k for k, f in enumerate(found.features) if f.family == name] for name in FAMILIES}
     judged: list[tuple[str, float, Feature, float]] = []
     critical = np.inf
@@ -151,8 +161,11 @@ def judge(
     return Judgement(alarms, score_z[0], _p_values(score_z[0], one_sided), critical, found.features, number_z[0])
 
 
-def _studentised(values: Float, base: Float, one_sided: NDArray[np.bool_]) -> Float:
-    """Return deviations (1 + N, F) as standard normals: the log first, then each simulated log by the others."""
+def _studentised(values: Float, base: Float, one_sided: NDArray[np.bool_], own: Float | None = None) -> Float:
+    """Return deviations (1 + N, F) as standard normals: the log first, then each simulated log by the others.
+
+    `own`, (1 + N, F), are variances that logs tell by themselves; they count where others cannot know them.
+    """
     n, d = values.shape[0] - 1, base.shape[1]
     scale = base[1:].std(axis=0) + 1e-300
     design = np.column_stack([np.ones(n + 1), (base - base[1:].mean(axis=0)) / scale])
@@ -168,6 +181,10 @@ def _studentised(values: Float, base: Float, one_sided: NDArray[np.bool_]) -> Fl
     left = np.maximum(1.0 - leverage[1:, None], 1e-6)
     others = np.maximum(squares - residual[1:] ** 2 / left, 0.0) / (freedom - 1) + floor
     t[1:] = residual[1:] / np.sqrt(others * left)
+    if own is not None:
+        alone = own > _ELSEWHERE * np.median(own[1:], axis=0)
+        bounded = np.abs(residual) / np.sqrt(own + floor)
+        t = np.where(alone, np.sign(t) * np.minimum(np.abs(t), bounded), t)
     z = np.empty_like(t)
     z[0], z[1:] = _as_normal(t[0], freedom), _as_normal(t[1:], freedom - 1)
     # Where only large values are remarkable a small one is none: half the two-sided probability is given away.

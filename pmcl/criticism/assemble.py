@@ -12,10 +12,10 @@ from pmcl.criticism.alarms import Judgement
 from pmcl.criticism.fit import Fit
 from pmcl.criticism.formulas import PREFIX, filled_in
 from pmcl.criticism.locate import locate
-from pmcl.criticism.naming import Trial
 from pmcl.criticism.passes import key_of
 from pmcl.criticism.result import Candidate, Estimate, FoundEffect, Pass, Unexplained
 from pmcl.criticism.scores import Direction
+from pmcl.criticism.trials import Trial
 from pmcl.criticism.verdict import called
 from pmcl.models.effects.effect import Effect
 from pmcl.posterior.access import parameter_draws
@@ -55,7 +55,7 @@ def found_effect(
     ]
     advice = [effect.near_twins.get(other.name) or other.near_twins.get(effect.name, "") for other in others]
     return FoundEffect(
-        effect.name, effect.summary, effect.where, {}, min(p_values, default=1.0), *accepted.on_heldout,
+        effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value), *accepted.on_heldout,
         tuple(called(other) for other in others), tuple(dict.fromkeys(text for text in advice if text)),
     )  # fmt: skip
 

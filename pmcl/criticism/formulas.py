@@ -22,7 +22,7 @@ from pmcl.models.parameters import Parameter
 from pmcl.models.rich_tables import RichRangeBeams, rich_beams
 from pmcl.models.tables import RangeBeams, Tables
 
-__all__ = ["PREFIX", "filled_in", "formulas"]
+__all__ = ["PREFIX", "Steady", "filled_in", "formulas", "steady_changes", "wave"]
 
 Float = NDArray[np.float64]
 
@@ -99,6 +99,46 @@ def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = Tru
         if isinstance(sensor, RangeBeams | RichRangeBeams):
             made += [_formula(_RANGE, name, feature) for name, feature in _beam_features(sensor, path, rows).items()]
     return tuple(effect for effect in made if effect is not None)
+
+
+class Steady(NamedTuple):
+    """A change of what is expected that is the same in all rows: its effect, and what carries it."""
+
+    effect: Effect
+    carrier: _Carrier
+
+
+def steady_changes(tables: Tables, n_rows: int) -> tuple[Steady, ...]:
+    """Return the steady changes that a model can have; waves are made of them."""
+    carriers = list(_ON_ROWS[:2]) if hasattr(tables.motion, "mean") else []
+    if any(isinstance(sensor, RangeBeams | RichRangeBeams) for sensor in tables.sensors):
+        carriers.append(_RANGE)
+    made = ((_formula(carrier, "1", _spread_out(carrier, np.ones(n_rows))), carrier) for carrier in carriers)
+    return tuple(Steady(effect, carrier) for effect, carrier in made if effect is not None)
+
+
+def wave(change: Steady, log: RobotLog, period: float, begins: float) -> Effect:
+    """Return a formula that swings about a steady change.
+
+    Parameters
+    ----------
+    change : Steady
+        What swings.
+    log : RobotLog
+        The log.
+    period, begins : float
+        Of the wave, and a time at which it rises through zero [s]; rounded to what the formula's name tells.
+    """
+    period, begins = float(f"{period:.4g}"), round(begins, 2)
+    name = f"sin(2*pi*(time - {begins:.12g})/{period:g})"
+    feature = np.sin(2.0 * np.pi * (np.asarray(log.times) - begins) / period)
+    made = _formula(change.carrier, name, _spread_out(change.carrier, feature))
+    assert made is not None
+    return made
+
+
+def _spread_out(carrier: _Carrier, rows: Float) -> Float:
+    return rows[:, None] if carrier is _RANGE else rows
 
 
 def filled_in(name: str, value: float) -> str:

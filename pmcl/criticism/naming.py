@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
-from pmcl.criticism.fit import BRIEF, THOROUGH, Fit, quick_fit
-from pmcl.criticism.heldout import Gain, paired_gain, row_scores
+from pmcl.criticism.heldout import paired_gain
 from pmcl.criticism.scores import Direction, probe_values
+from pmcl.criticism.trials import PRACTICAL, Trial
 from pmcl.errors import PmclError
 from pmcl.filtering.particle_filter import make_rng, run_filter
-from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
-from pmcl.models.parameters import prior_support
 from pmcl.models.rich_tables import uniform
-from pmcl.models.robot_model import BoundModel, RobotModel
+from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "Trial", "choose", "leaders", "of_the_whole_robot", "scan", "shortlist", "spare_effects", "thoroughly",
-    "trial_of_base", "try_effect", "untried", "untried_twins", "worth_it",
+    "choose", "confirmed_without_score", "leaders", "of_the_motion", "of_the_sensors", "of_the_whole_robot", "scan",
+    "shortlist", "twins_of", "untried", "untried_twins", "with_rules", "worth_it",
 ]  # fmt: skip
 
-_logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
 
 _BY_SCORE, _BY_SCAN, _ABSORBERS = 4, 2, 2
@@ -35,53 +29,12 @@ _BY_SCORE, _BY_SCAN, _ABSORBERS = 4, 2, 2
 _MORE_STRUCTURED, _REMARKABLE = 8, 2.5
 # Evidence of 500 particles has a standard deviation of some 8 nats: a scan sees only what is far larger.
 _SCAN_Z, _SCAN_GAIN = 6.0, 30.0
-_START = 0.25
 # Trials that are refitted at length before the choice, and how far behind the first they may be [nat].
 _LEADERS, _BEHIND = 3, 15.0
-# Gains below this are real at best, never worth a parameter [nat]; scores below this are never beyond doubt.
-_PRACTICAL, _CRITICAL = 3.0, 3.0
+# Scores below this are never beyond doubt.
+_CRITICAL = 3.0
 # A near twin that gains this share of what the winner gains is named with it.
 _NEARLY_ALL = 0.9
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A model that was refitted on the fit part of the log.
-
-    Attributes
-    ----------
-    effect : Effect or None
-        What it has that the current model lacks; None for the current model itself.
-    model : RobotModel
-        The whole model.
-    fit : Fit
-        On the fit part.
-    rows : ndarray, shape (T,)
-        Its score of each row of the whole log.
-    z : float
-        Deviation of its score.
-    on_fit, on_heldout, on_all : Gain
-        Gain over the current model.
-    """
-
-    effect: Effect | None
-    model: RobotModel
-    fit: Fit
-    rows: Float
-    z: float
-    on_fit: Gain
-    on_heldout: Gain
-    on_all: Gain
-
-    @property
-    def p_value(self) -> float:
-        """Two-sided p-value of its score by itself."""
-        return float(2.0 * special.ndtr(-abs(self.z)))
-
-    @property
-    def merit(self) -> float:
-        """Gain on the fit part [nat], less one for each parameter it has more (Akaike)."""
-        return self.on_fit.total - (len(self.effect.parameters) if self.effect is not None else 0)
 
 
 def shortlist(
@@ -114,18 +67,33 @@ def shortlist(
     return [(effect, known[id(effect)]) for effect in chosen + fresh[:_BY_SCAN]]
 
 
-def of_the_whole_robot(
-    wanted: Sequence[Direction], z: Float, *, carrier: str = "", absorbers: bool = False
-) -> list[tuple[Effect, float]]:
-    """Return the candidates that have no place, of one carrier if that is given, greatest scores first.
+def of_the_whole_robot(wanted: Sequence[Direction], z: Float) -> list[tuple[Effect, float]]:
+    """Return the structured candidates that have no place, greatest scores first.
 
     A steady error of the mount or of odometry is mostly taken up by the path: it may have hardly a score, and show
     only when it is refitted.
     """
     order = [int(k) for k in np.argsort(-np.abs(z))]
-    able = [k for k in order if not wanted[k].effect.where and (absorbers or not wanted[k].effect.absorber)]
-    chosen = [k for k in _distinct(wanted, able) if carrier in ("", wanted[k].effect.carrier)]
-    return [(wanted[k].effect, float(z[k])) for k in chosen]
+    able = [k for k in order if not wanted[k].effect.where and not wanted[k].effect.absorber]
+    return [(wanted[k].effect, float(z[k])) for k in _distinct(wanted, able)]
+
+
+def of_the_motion(wanted: Sequence[Direction]) -> list[tuple[Effect, float]]:
+    """Return the effects of the motion that have no place, absorbers too, as if nothing were known of their scores."""
+    return _without_scores(one.effect for one in wanted if one.effect.carrier == "motion" and not one.effect.where)
+
+
+def of_the_sensors(wanted: Sequence[Direction]) -> list[tuple[Effect, float]]:
+    """Return the effects of sensors, of each beam and landmark, as if nothing were known of their scores."""
+    return _without_scores(one.effect for one in wanted if one.effect.carrier not in ("motion", "map"))
+
+
+def _without_scores(effects: Iterable[Effect]) -> list[tuple[Effect, float]]:
+    made: list[tuple[Effect, float]] = []
+    for effect in effects:
+        if not any(_same(effect, one) for one, _ in made):
+            made.append((effect, 0.0))
+    return made
 
 
 def untried_twins(
@@ -208,71 +176,10 @@ def scan(
     return gains
 
 
-def try_effect(
-    current: Trial, effect: Effect, z: float, log: RobotLog, split: int, *, seed: int, particles: int
-) -> Trial | None:
-    """Refit the current model with one effect more on the fit part, and score the whole log.
-
-    Returns None when the effect cannot be fitted (its tables do not go together with the model's).
-    """
-    try:
-        told = {} if effect.tells is None else dict(effect.tells(log))
-        free = np.array([parameter.name not in told for parameter in effect.parameters])
-        model = replace(
-            current.model, effects=(*current.model.effects, effect), fixed={**current.model.fixed, **told}
-        )
-        bound = model.bind(log)
-        theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
-        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=BRIEF)
-        rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
-    except PmclError as error:
-        _logger.debug("%s cannot be fitted: %s", effect.name, error)
-        return None
-    return Trial(effect, model, fitted, rows, z, *_gains(rows, current.rows, split))
-
-
 def leaders(trials: Sequence[Trial]) -> list[Trial]:
     """Return the trials between which the choice will be made: brief fits may misjudge them by some nats."""
     ranked = sorted(trials, key=lambda trial: -trial.merit)
     return [trial for trial in ranked[:_LEADERS] if trial.merit > max(0.0, ranked[0].merit - _BEHIND)]
-
-
-def thoroughly(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:
-    """Go on with the fit of a trial, and score it anew against the current model; all as for :func:`try_effect`."""
-    bound = trial.model.bind(log)
-    fitted = quick_fit(bound.restricted(split), seed, theta=trial.fit.theta, path=trial.fit.path, effort=THOROUGH)
-    rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
-    gains = _gains(rows, current.rows, split)
-    return replace(trial, fit=fitted, rows=rows, on_fit=gains[0], on_heldout=gains[1], on_all=gains[2])
-
-
-def _gains(new: Float, old: Float, split: int) -> list[Gain]:
-    """Return the gains on the fit part, on the held-out part, and on both."""
-    return [paired_gain(new, old, rows) for rows in (slice(0, split), slice(split, None), slice(None))]
-
-
-def trial_of_base(
-    model: RobotModel, log: RobotLog, split: int, *, seed: int, particles: int, theta: Float, path: Float
-) -> Trial:
-    """Fit a model as it is on the fit part, from the fit of the whole log, and score all rows."""
-    bound = model.bind(log)
-    fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split])
-    rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
-    nothing = Gain(0.0, 0.0)
-    return Trial(None, model, fitted, rows, 0.0, nothing, nothing, nothing)
-
-
-def _start_values(effect: Effect, z: float) -> Float:
-    """Return values a little way from the null, to the side that the score points to, inside the priors."""
-    values = np.array(effect.null, dtype=float)
-    for k in effect.strengths:
-        one_sided = effect.squared or effect.one_sided(k)
-        values[k] = probe_values(effect, _START if one_sided else _START * float(np.sign(z) or 1.0), k)[k]
-    for k, parameter in enumerate(effect.parameters):
-        low, high = prior_support(parameter.prior)
-        margin = 1e-6 * (high - low) if np.isfinite(high - low) else 1e-6
-        values[k] = float(np.clip(values[k], low + margin, high - margin))
-    return values
 
 
 def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
@@ -291,6 +198,11 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
         lead = paired_gain(best.rows, rival.rows, slice(0, best.fit.bound.lengths[0]))
         if not lead.significant and rival.on_fit.significant:
             best = rival
+    return best, twins_of(best, trials)
+
+
+def twins_of(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials that the whole log cannot tell from one of them."""
     assert best.effect is not None
     twins = []
     for trial in trials:
@@ -303,7 +215,25 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
         known = trial.effect is not None and _near_twins(best.effect, trial.effect)
         if lead.total < 2.0 * lead.se or (known and trial.on_all.total > _NEARLY_ALL * best.on_all.total):
             twins.append(trial)
-    return best, twins
+    return twins
+
+
+def with_rules(
+    best: Trial, twins: Sequence[Trial], rules: Sequence[Trial], critical_z: float
+) -> tuple[Trial, list[Trial]]:
+    """Return the trial that explains the log, and what cannot be told from it, after formulas have competed.
+
+    A formula replaces a known effect that is beaten by more than two standard errors on the fit part, or an absorber
+    that is beaten at all. What does neither is named beside the effect when the whole log cannot tell the two apart.
+    """
+    better = [rule for rule in rules if rule.merit > best.merit and worth_it(rule, critical_z)]
+    if better:
+        rule = max(better, key=lambda trial: trial.merit)
+        lead = paired_gain(rule.rows, best.rows, slice(0, best.fit.bound.lengths[0]))
+        if (best.effect is not None and best.effect.absorber) or (lead.significant and lead.total > PRACTICAL):
+            return rule, []
+    leads = [(rule, paired_gain(best.rows, rule.rows, slice(None))) for rule in rules if rule.on_all.significant]
+    return best, [*twins, *(rule for rule, lead in leads if lead.total < 2.0 * lead.se)]
 
 
 def worth_it(best: Trial, critical_z: float) -> bool:
@@ -314,53 +244,13 @@ def worth_it(best: Trial, critical_z: float) -> bool:
     rate of errors, any gain on the held-out part confirms it, if the whole log's gain exceeds its error.
     """
     if abs(best.z) > max(critical_z, _CRITICAL):
-        return best.on_heldout.total > 0.0 and best.on_all.total > max(_PRACTICAL, best.on_all.se)
-    return best.on_heldout.total > max(_PRACTICAL, 2.0 * best.on_heldout.se)
+        return best.on_heldout.total > 0.0 and best.on_all.total > max(PRACTICAL, best.on_all.se)
+    return best.on_heldout.total > max(PRACTICAL, 2.0 * best.on_heldout.se)
 
 
-def spare_effects(
-    accepted: Trial, own: int, log: RobotLog, split: int, *, seed: int, particles: int
-) -> tuple[Trial, list[int]]:
-    """Try to do without each effect that was added before the newest one.
+def confirmed_without_score(trial: Trial) -> bool:
+    """Return whether both parts of the log speak for a trial whose score means nothing.
 
-    Parameters
-    ----------
-    accepted : Trial
-        The model with the newest effect last.
-    own : int
-        Effects of the base model, which stay.
-    log, split, seed, particles
-        As for :func:`try_effect`.
-
-    Returns
-    -------
-    trial : Trial
-        The model without those that the held-out part does not miss.
-    dropped : list of int
-        Their positions among the model's effects, each counted after the removals before it.
+    Where a filter is lost a gain is large and its error hardly smaller.
     """
-    trial, dropped, position = accepted, [], own
-    while position < len(trial.model.effects) - 1:
-        effects = trial.model.effects
-        if effects[position].tells is not None:  # the data themselves show it
-            position += 1
-            continue
-        model = replace(trial.model, effects=effects[:position] + effects[position + 1 :])
-        # By position, since parameters of effects that occur several times change their names with the others.
-        counts = [sum(p.name not in trial.model.fixed for p in one.parameters) for one in trial.model.named_effects]
-        begin = trial.fit.theta.size - sum(counts[position:])
-        try:
-            theta = np.delete(trial.fit.theta, np.s_[begin : begin + counts[position]])
-            without = trial_of_base(
-                model, log, split, seed=seed, particles=particles, theta=theta, path=trial.fit.path
-            )
-        except PmclError:
-            position += 1
-            continue
-        missed = paired_gain(trial.rows, without.rows, slice(split, None))
-        if missed.total < max(_PRACTICAL, missed.se):
-            trial = replace(without, effect=trial.effect, z=trial.z)
-            dropped.append(position)
-        else:
-            position += 1
-    return trial, dropped
+    return trial.on_fit.significant and trial.on_heldout.total > max(PRACTICAL, trial.on_heldout.se)

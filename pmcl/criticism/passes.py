@@ -44,11 +44,12 @@ class Settings:
     paths: int
     workers: int
     progress: bool
+    finer: int = 4
 
     @property
     def comparing(self) -> int:
-        """Particles for comparisons of log scores, whose error must stay below some nats."""
-        return 4 * self.particles
+        """Particles for comparisons of log scores, whose error must stay below some nats: `finer` times as many."""
+        return self.finer * self.particles
 
     def tell(self, message: str) -> None:
         """Log a step of the run, if that was asked for."""

@@ -7,22 +7,24 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pmcl.criticism.alarms import Judgement
 from pmcl.criticism.assemble import found_effect
 from pmcl.criticism.fit import Fit, quick_fit
 from pmcl.criticism.formulas import formulas
 from pmcl.criticism.naming import (
-    Trial,
     choose,
+    confirmed_without_score,
     leaders,
+    of_the_motion,
+    of_the_sensors,
     of_the_whole_robot,
     scan,
     shortlist,
-    thoroughly,
-    trial_of_base,
-    try_effect,
     untried,
     untried_twins,
+    with_rules,
     worth_it,
 )
 from pmcl.criticism.passes import (
@@ -36,7 +38,9 @@ from pmcl.criticism.passes import (
 )
 from pmcl.criticism.result import FoundEffect, Pass
 from pmcl.criticism.scores import Direction, directions
+from pmcl.criticism.trials import Trial, scored_anew, thoroughly, trial_of_base, try_effect
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called
+from pmcl.criticism.waves import remarkable_waves
 from pmcl.errors import CriticismError, FilterError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -49,8 +53,12 @@ _LEAST_READINGS = 20
 # A score that is remarkable comes late when this share of it is not in the fit part; evenly spread, 0.77 would be.
 _ALREADY = 0.5
 _FORMULAS = 4
-# Formulas compete with an absorber when their score is at least this share of its own.
+# Formulas compete with a known effect when their score is greater, with an absorber when it is this share of its own;
+# unless their rows run like those of the effect: then they are the effect, in other words.
 _NEARLY = 0.5
+_THE_SAME = 0.98
+# Particles, over those of a scored pass, for comparing models that held-out rows do not confirm.
+_MOST_PARTICLES = 16
 
 
 class Outcome(NamedTuple):
@@ -69,6 +77,15 @@ class Outcome(NamedTuple):
     accepted: Trial | None
     found: FoundEffect | None
     trials: list[Trial]
+
+
+class _Rules(NamedTuple):
+    """Formulas that were refitted, the directions that were scored for them, and what their scores say."""
+
+    trials: list[Trial]
+    wanted: tuple[Direction, ...]
+    judgement: Judgement
+    critical_z: float
 
 
 class Search:
@@ -138,7 +155,7 @@ class Search:
             best, _ = choose(trials)
         if best is not None and best.effect is not None:
             trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials))
-        trials = self._settled(current, trials)
+        current, trials = self._beyond_chance(current, self._settled(current, trials), last.judgement.critical_z)
         best, twins = choose(trials)
         if (best is None or not worth_it(best, last.judgement.critical_z)) and (
             last.judgement.p_value <= WORTH_A_FORMULA
@@ -148,58 +165,80 @@ class Search:
             best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
             return Outcome(None, None, trials)
-        found: FoundEffect | None = found_effect(best, twins, last.judgement, self.wanted)
-        if best.effect is not None and best.effect.absorber:
-            # What looks like noise with a memory may follow a rule that the catalogue does not hold.
-            ruled = self.formula(last, current, of_noise=False, beyond=_NEARLY * abs(best.z))
-            trials += ruled.trials
-            if ruled.accepted is not None and ruled.accepted.merit > best.merit:
-                best, found = ruled.accepted, ruled.found
-        return Outcome(best, found, trials)
+        rules = self._rules(last, current, of_noise=False, best=best)
+        trials += rules.trials
+        best, twins = with_rules(best, twins, rules.trials, rules.critical_z)
+        if any(best is rule for rule in rules.trials):
+            return Outcome(best, found_effect(best, twins, rules.judgement, rules.wanted), trials)
+        return Outcome(best, found_effect(best, twins, last.judgement, self.wanted), trials)
 
-    def formula(self, last: Pass, current: Trial, of_noise: bool = True, beyond: float = 0.0) -> Outcome:
-        """Look outside the catalogue.
+    def formula(self, last: Pass, current: Trial) -> Outcome:
+        """Look outside the catalogue."""
+        rules = self._rules(last, current)
+        best, _ = choose(rules.trials)
+        if best is None or not worth_it(best, rules.critical_z):
+            return Outcome(None, None, rules.trials)
+        return Outcome(best, found_effect(best, (), rules.judgement, rules.wanted), rules.trials)
 
-        Only formulas whose score is remarkable, and `beyond` a value, are tried.
-        """
+    def _rules(self, last: Pass, current: Trial, *, of_noise: bool = True, best: Trial | None = None) -> _Rules:
+        """Refit the formulas with remarkable scores; where a known effect is the best, those that may be better."""
         offered = formulas(self.log, last.fit.tables, last.fit.path, of_noise=of_noise)
         wanted: tuple[Direction, ...] = directions(offered)
         if not wanted:
-            return Outcome(None, None, [])
-        _, judged, z, _ = judged_again(self.judged, wanted, self.split, self.settings)
-        least = max(judged.critical_z, beyond)
-        order = [int(k) for k in np.argsort(-np.abs(z)) if abs(judged.z[k]) > least]
-        trials = self._tried(current, [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]])
-        trials = self._settled(current, trials)
-        best, _ = choose(trials)
-        if best is None or not worth_it(best, judged.critical_z):
-            return Outcome(None, None, trials)
-        return Outcome(best, found_effect(best, (), judged, wanted), trials)
+            return _Rules([], (), last.judgement, np.inf)
+        evidence, judgement, z, _ = judged_again(self.judged, wanted, self.split, self.settings)
+        # Noise with a memory, or more noise, takes up much of what follows a rule: it has the greater score then.
+        absorbs = best is not None and best.effect is not None and best.effect.absorber
+        beyond = (_NEARLY if absorbs else 1.0) * abs(best.z) if best is not None else 0.0
+        remarkable = (np.abs(judgement.z) > judgement.critical_z) & (np.abs(z) > beyond)
+        order = [int(k) for k in np.argsort(-np.abs(z)) if remarkable[k]]
+        if best is not None:
+            known = [row for row, one in zip(self.judged.evidence.scores, self.wanted, strict=True)
+                     if one.effect is best.effect]  # fmt: skip
+            order = [k for k in order if not any(_alike(evidence.scores[k], row) for row in known)]
+        waves = remarkable_waves(self.judged, self.log, last.fit.tables, self.split, self.settings, beyond)
+        chosen = [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]] + waves.found
+        trials = self._settled(current, self._tried(current, chosen))
+        critical = max(judgement.critical_z, waves.critical_z)
+        if best is None or any(trial.merit > best.merit for trial in trials):
+            _, trials = self._beyond_chance(current, trials, critical)
+        return _Rules(trials, wanted, judgement, critical)
+
+    def fair(self, current: Trial) -> Trial:
+        """Return a model to compare others with, its rows scored with as many particles as theirs are now."""
+        seed, particles = self.settings.seed + 100, self.settings.comparing
+        if current.particles == particles:
+            return current
+        return scored_anew(current, current, self.log, self.split, seed=seed, particles=particles)
 
     def found_again(self, fit: Fit, follow: Callable[[Fit], None]) -> tuple[Trial, list[Trial]] | None:
-        """Look for an effect of the motion with which the filter follows a robot that it loses without.
+        """Look for an effect with which the filter follows a robot that it loses without.
 
         Scores of a lost filter mean nothing, but a trajectory that is updated with the parameters is not lost so
-        easily: all effects of the motion are refitted. Return the best and all trials, or None. `follow` raises
-        FilterError where a filter does not.
+        easily: all effects of the motion are refitted, and if none helps those of the sensors. Return the best of those
+        that do and all trials, or None. `follow` raises FilterError where a filter does not.
         """
-        self.settings.tell("the filter loses the robot: refitting all effects of the motion")
         self.wanted = candidate_directions(self.log, fit, self.offered)
         split, seed, particles = self.split, self.settings.seed + 100, self.settings.comparing
+        trials: list[Trial] = []
         try:
             current = trial_of_base(
                 fit.bound.model, self.log, split, seed=seed, particles=particles, theta=fit.theta, path=fit.path
             )
-            nothing = np.zeros(len(self.wanted))
-            offered = of_the_whole_robot(self.wanted, nothing, carrier="motion", absorbers=True)
-            trials = self._settled(current, self._tried(current, offered))
-            best, _ = choose(trials)
-            if best is None or not best.on_heldout.significant:
-                return None
-            follow(quick_fit(best.model.bind(self.log), seed, theta=best.fit.theta, path=fit.path))
         except FilterError:
             return None
-        return best, trials
+        self.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
+        for offered in (of_the_motion(self.wanted), of_the_sensors(self.wanted)):
+            new = self._settled(current, self._tried(current, offered))
+            trials += new
+            for trial in leaders(new):
+                if confirmed_without_score(trial):
+                    try:
+                        follow(quick_fit(trial.model.bind(self.log), seed, theta=trial.fit.theta, path=fit.path))
+                    except FilterError:
+                        continue
+                    return trial, trials
+        return None
 
     def comes_late(self, last: Pass) -> bool:
         """Tell whether a candidate is remarkable in the whole log, and hardly so in the part that is fitted on."""
@@ -217,9 +256,31 @@ class Search:
         self.split = int(share * self.log.n_steps)
         self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
 
+    def _beyond_chance(self, current: Trial, trials: list[Trial], critical_z: float) -> tuple[Trial, list[Trial]]:
+        """Return the current model and trials, scored with more particles if held-out rows contradict the best trial.
+
+        The better a model, the fewer of its particles survive a reading at an edge: a single row may take back all
+        that a right effect gains, by chance. From then on all models are scored so.
+        """
+        best, _ = choose(trials)
+        if best is None or not best.on_fit.significant or worth_it(best, critical_z):
+            return current, trials
+        if self.settings.comparing < _MOST_PARTICLES * self.settings.particles:
+            self.settings.tell("held-out rows do not confirm it: scoring with more particles")
+            self.settings = replace(self.settings, finer=_MOST_PARTICLES)
+        current = self.fair(current)
+        doubted = leaders(trials)
+
+        def one(k: int) -> Trial:
+            seed, particles = self.settings.seed + 100, self.settings.comparing
+            return scored_anew(doubted[k], current, self.log, self.split, seed=seed, particles=particles)
+
+        return current, _replaced(trials, doubted, mapped(one, len(doubted), self.settings.workers))
+
     def _tried(self, current: Trial, chosen: list[tuple[Effect, float]]) -> list[Trial]:
         if chosen:
             self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in chosen))
+        current = self.fair(current)
 
         def one(k: int) -> Trial | None:
             effect, z = chosen[k]
@@ -231,15 +292,24 @@ class Search:
     def _settled(self, current: Trial, trials: list[Trial]) -> list[Trial]:
         """Return the trials, those that lead fitted thoroughly."""
         first = leaders(trials)
+        current = self.fair(current)
 
         def one(k: int) -> Trial:
             seed, particles = self.settings.seed + 100, self.settings.comparing
             return thoroughly(first[k], current, self.log, self.split, seed=seed, particles=particles)
 
-        new = mapped(one, len(first), self.settings.workers)
-        return [next((n for n, old in zip(new, first, strict=True) if old is trial), trial) for trial in trials]
+        return _replaced(trials, first, mapped(one, len(first), self.settings.workers))
+
+
+def _replaced(trials: list[Trial], old: list[Trial], new: list[Trial]) -> list[Trial]:
+    return [next((n for n, one in zip(new, old, strict=True) if one is trial), trial) for trial in trials]
 
 
 def _readings(log: RobotLog, rows: slice) -> int:
     names = ("range", "landmark_range", "landmark_bearing", "landmark_size")
     return sum(int((~np.isnan(log.dataset[name].values[rows])).sum()) for name in names if name in log.dataset)
+
+
+def _alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    norm = float(np.sqrt((one @ one) * (other @ other)))
+    return norm > 0.0 and abs(float(one @ other)) > _THE_SAME * norm

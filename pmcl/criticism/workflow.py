@@ -21,10 +21,11 @@ from pmcl.criticism.assemble import (
 from pmcl.criticism.fit import LONG, Fit, quick_fit
 from pmcl.criticism.guard import particles_that_follow
 from pmcl.criticism.heldout import gap_of
-from pmcl.criticism.naming import Trial, choose, spare_effects
+from pmcl.criticism.naming import twins_of
 from pmcl.criticism.passes import Settings
 from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
 from pmcl.criticism.search import FIT_SHARE, LATER, Search
+from pmcl.criticism.trials import Trial, spare_effects
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.particle_filter import make_rng
@@ -172,7 +173,7 @@ class _Loop:
         current: Trial | None = None
         if recovered is not None:
             trial, trials = recovered
-            self.found.append(found_effect(trial, choose(trials)[1], last.judgement, self.search.wanted))
+            self.found.append(found_effect(trial, twins_of(trial, trials), last.judgement, self.search.wanted))
             name = trial.model.effects[-1].name
             current = self._added(last, trial, trials, f"add {name}: with it the filter follows")
             last = self._refitted(last, current, rounds)
@@ -241,8 +242,9 @@ class _Loop:
         """Drop effects that the newest one makes superfluous: an early alias must not stay."""
         own = len(self.base.effects)
         trial, dropped = spare_effects(
-            accepted, own, self.log, self.search.split, seed=self.settings.seed + 100, particles=self.settings.comparing
-        )
+            self.search.fair(accepted), own, self.log, self.search.split, seed=self.settings.seed + 100,
+            particles=self.settings.comparing,
+        )  # fmt: skip
         for position in dropped:
             gone = self.found.pop(position - own)
             self.notes.append(f"{gone.name} was added first and dropped when a later effect explained it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -73,3 +74,44 @@ def test_level_is_respected(level, rng):
     judged = judge(_evidence(rng), null, _wanted(), level=level)
     for alarm in judged.raised:
         assert alarm.p_value <= level
+
+
+def _of_a_patch(rng, rows):
+    """One candidate that is scored only in rows where the robot is at some place, and one that always is."""
+    scores = rng.standard_normal((2, 100))
+    scores[0, rows:] = 0.0
+    return SimpleNamespace(base=np.empty((0, 100)), scores=scores, features=(), numbers=np.empty(0))
+
+
+def test_a_place_that_simulated_robots_hardly_visit_raises_no_alarm_by_itself(rng):
+    """Of 30 simulated robots one is there for a moment; the log's own robot is there for a while."""
+    patch, other = _wanted()[:2]
+    wanted = (replace(patch, effect=replace(patch.effect, where={"place": (1.0, 2.0)})), other)
+    z, elsewhere = [], []
+    for _ in range(200):
+        null = [_of_a_patch(rng, int(k == 0)) for k in range(LOGS)]
+        found = _of_a_patch(rng, 8)
+        judged = judge(found, null, wanted, level=0.05)
+        # What simulated logs would say of it: a spread of a fifth of one row's.
+        z.append(judged.z)
+        elsewhere.append(judge(found, null, (patch, other), level=0.05).z)
+    z, elsewhere = np.array(z), np.array(elsewhere)
+    assert 0.8 < z[:, 0].std() < 1.2
+    assert np.abs(z[:, 0]).max() < 4.0
+    assert np.abs(elsewhere[:, 0]).max() > 6.0
+    np.testing.assert_array_equal(z[:, 1], elsewhere[:, 1])
+
+
+def test_a_place_that_half_of_the_simulated_robots_visit_is_judged_by_them(rng):
+    patch = _wanted()[0]
+    wanted = (replace(patch, effect=replace(patch.effect, where={"place": (1.0, 2.0)})),)
+    null = [_one(_of_a_patch(rng, 8 if k % 3 else 0)) for k in range(LOGS)]
+    found = _one(_of_a_patch(rng, 30))
+    np.testing.assert_array_equal(
+        judge(found, null, wanted, level=0.05).z, judge(found, null, (patch,), level=0.05).z
+    )
+
+
+def _one(evidence):
+    evidence.scores = evidence.scores[:1]
+    return evidence

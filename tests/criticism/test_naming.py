@@ -9,16 +9,16 @@ import numpy as np
 from pmcl.criticism.fit import BRIEF, quick_fit
 from pmcl.criticism.heldout import paired_gain
 from pmcl.criticism.naming import (
-    Trial,
     choose,
+    of_the_motion,
+    of_the_sensors,
     of_the_whole_robot,
-    spare_effects,
-    trial_of_base,
-    try_effect,
     untried,
     untried_twins,
+    with_rules,
 )
 from pmcl.criticism.scores import directions
+from pmcl.criticism.trials import Trial, spare_effects, trial_of_base, try_effect
 from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
@@ -79,6 +79,26 @@ def test_what_is_named_with_the_winner():
     assert choose([best, alike])[1] == [alike]
 
 
+def test_a_formula_replaces_a_name_that_it_clearly_beats_and_is_told_beside_one_that_it_does_not():
+    log, rng = simulate_landmark_field(60, 1, bearings=True), np.random.default_rng(1)
+    base = rng.normal(0.0, 1.0, 1000)
+    gain = 0.5 + 0.1 * rng.standard_normal(1000)
+    noise = 0.5 * rng.standard_normal(1000)
+    for name, better, equal in (("odometry-arc", True, False), ("turn-noise-correlated", True, True)):
+        best = made_trial(name, log, base + gain, base)
+        clear = made_trial("odometry-side-drift", log, base + 1.2 * gain, base)
+        assert (with_rules(best, [], [clear], 3.0) == (clear, [])) is better
+        slight = made_trial("odometry-side-drift", log, base + gain + 0.01 - (noise - noise.mean()), base)
+        assert slight.merit > best.merit
+        found, twins = with_rules(best, [], [slight], 3.0)
+        assert (found is slight) is equal
+        assert twins == ([] if equal else [slight])
+        worse = made_trial("odometry-side-drift", log, base + 0.5 * gain, base)
+        found, twins = with_rules(best, [], [worse], 3.0)
+        assert found is best
+        assert twins == []
+
+
 def test_nothing_is_refitted_twice():
     log = simulate_landmark_field(60, 1, bearings=True)
     base = np.zeros(100)
@@ -97,9 +117,13 @@ def test_effects_of_the_whole_robot_are_those_without_a_place():
     assert len(set(names)) == len(names)
     found = [deviation for _, deviation in of_the_whole_robot(wanted, z)]
     assert found == sorted(found, reverse=True)
-    moving = of_the_whole_robot(wanted, z, carrier="motion", absorbers=True)
-    assert "turn-noise-grows-with-turn" in [effect.name for effect, _ in moving]
-    assert {effect.carrier for effect, _ in moving} == {"motion"}
+    moving = [effect for effect, _ in of_the_motion(wanted)]
+    assert {"turn-noise-grows-with-turn", "odometry-arc"} < {effect.name for effect in moving}
+    assert "slippery-patch" not in {effect.name for effect in moving}
+    assert {effect.carrier for effect in moving} == {"motion"}
+    sensing = [effect for effect, _ in of_the_sensors(wanted)]
+    assert sorted(effect.where["beams"] for effect in sensing if effect.name == "dead-beam") == [(k,) for k in range(8)]
+    assert not {"motion", "map"} & {effect.carrier for effect in sensing}
 
 
 def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():
