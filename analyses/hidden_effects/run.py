@@ -29,6 +29,7 @@ from pmcl.errors import PmclError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.catalogue import CATALOGUE
 
+LOGGER = logging.getLogger("pmcl.criticism")
 RESULTS = Path(__file__).parent / "results.csv"
 # For the detection curve: effects of every carrier, small.
 FAINT = (
@@ -78,18 +79,41 @@ def criticize_all(folder: Path, most: int | None, joint: bool) -> None:
             claim.touch(exist_ok=False)
         except FileExistsError:
             continue
-        started = time.perf_counter()
+        names = FirstName()
         try:
-            found = criticize(RobotLog.read(path), joint=joint, workers=1)
+            with names:
+                found = criticize(RobotLog.read(path), joint=joint, workers=1, progress=True)
             content = json.loads(found.to_json())
         except PmclError as error:
             content = {"verdict": "error", "sentence": str(error), "effects": [], "steps": [], "unexplained": []}
-        content["seconds"] = time.perf_counter() - started
+        content["seconds"], content["seconds_to_name"] = time.perf_counter() - names.started, names.seconds
         content["version"] = loaded
         result.write_text(json.dumps(content))
         claim.unlink()
         done += 1
         print(f"{path.name} {content['seconds']:.0f} s: {content['sentence']}", flush=True)
+
+
+class FirstName(logging.Handler):
+    """Listens to the progress of a run for the moment at which the first effect is added."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.started, self.seconds = time.perf_counter(), float("nan")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take the time of a step of the run."""
+        if record.getMessage().startswith("added ") and np.isnan(self.seconds):
+            self.seconds = time.perf_counter() - self.started
+
+    def __enter__(self) -> "FirstName":
+        LOGGER.setLevel(logging.INFO)
+        LOGGER.propagate = False
+        LOGGER.addHandler(self)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        LOGGER.removeHandler(self)
 
 
 def version() -> str:

@@ -61,6 +61,7 @@ def scored(hidden: Hidden, result: dict) -> dict[str, object]:
         "seed": hidden.seed,
         "version": result["version"],
         "seconds": f"{result['seconds']:.1f}",
+        "seconds_to_name": f"{result['seconds_to_name']:.1f}" if result.get("seconds_to_name", -1.0) > 0.0 else "",
         "verdict": result["verdict"],
         "found": " + ".join(found),
         "twins": " + ".join("/".join(others) for others in twins),

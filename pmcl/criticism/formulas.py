@@ -98,6 +98,8 @@ def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = Tru
     for sensor in tables.sensors:
         if isinstance(sensor, RangeBeams | RichRangeBeams):
             made += [_formula(_RANGE, name, feature) for name, feature in _beam_features(sensor, path, rows).items()]
+    if of_noise and any(isinstance(sensor, RangeBeams | RichRangeBeams) for sensor in tables.sensors):
+        made += [_formula(_RANGE_NOISE, name, feature) for name, feature in rows.items()]
     return tuple(effect for effect in made if effect is not None)
 
 
@@ -143,7 +145,7 @@ def _spread_out(carrier: _Carrier, rows: Float) -> Float:
 
 def filled_in(name: str, value: float) -> str:
     """Return the name of a formula with its coefficient, e.g. ``formula: turn += 0.03*cos(heading)``."""
-    return name.replace("c*", f"{value:.3g}*", 1)
+    return name.replace("c*", f"{value:.3g}*", 1).replace("+ -", "- ")
 
 
 def _formula(carrier: _Carrier, name: str, feature: Float) -> Effect | None:
@@ -197,16 +199,25 @@ def _cell_features(path: Float) -> dict[str, Float]:
     return found
 
 
-def _range(tables: Tables, change: Float) -> Tables:
-    def shifted(sensor: Any) -> Any:
-        rich = rich_beams(sensor)
-        return rich._replace(bias_at=rich.bias_at + change)
+def _beams(change: Callable[[RichRangeBeams, Float], RichRangeBeams]) -> Callable[[Tables, Float], Tables]:
+    def edit(tables: Tables, values: Float) -> Tables:
+        beams = RangeBeams | RichRangeBeams
+        changed = (change(rich_beams(s), values) if isinstance(s, beams) else s for s in tables.sensors)
+        return tables._replace(sensors=tuple(changed))
 
-    beams = RangeBeams | RichRangeBeams
-    return tables._replace(sensors=tuple(shifted(s) if isinstance(s, beams) else s for s in tables.sensors))
+    return edit
 
 
-_RANGE = _Carrier("range += ", "m", 0.04, _range, "range")
+def _longer(beams: RichRangeBeams, change: Float) -> RichRangeBeams:
+    return beams._replace(bias_at=beams.bias_at + change)
+
+
+def _noisier(beams: RichRangeBeams, change: Float) -> RichRangeBeams:
+    return beams._replace(std_factor=beams.std_factor * np.exp(np.clip(change, -5.0, 5.0)))
+
+
+_RANGE = _Carrier("range += ", "m", 0.04, _beams(_longer), "range")
+_RANGE_NOISE = _Carrier("log sigma_range += ", "1", 0.5, _beams(_noisier), "range")
 
 
 def _beam_features(sensor: Any, path: Float, rows: dict[str, Float]) -> dict[str, Float]:

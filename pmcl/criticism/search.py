@@ -165,7 +165,7 @@ class Search:
             best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
             return Outcome(None, None, trials)
-        rules = self._rules(last, current, of_noise=False, best=best)
+        rules = self._rules(last, current, best)
         trials += rules.trials
         best, twins = with_rules(best, twins, rules.trials, rules.critical_z)
         if any(best is rule for rule in rules.trials):
@@ -180,15 +180,16 @@ class Search:
             return Outcome(None, None, rules.trials)
         return Outcome(best, found_effect(best, (), rules.judgement, rules.wanted), rules.trials)
 
-    def _rules(self, last: Pass, current: Trial, *, of_noise: bool = True, best: Trial | None = None) -> _Rules:
+    def _rules(self, last: Pass, current: Trial, best: Trial | None = None) -> _Rules:
         """Refit the formulas with remarkable scores; where a known effect is the best, those that may be better."""
-        offered = formulas(self.log, last.fit.tables, last.fit.path, of_noise=of_noise)
+        absorbs = best is not None and best.effect is not None and best.effect.absorber
+        # How noise grows with motion is in the catalogue; only what is called by a general name may be a rule for it.
+        offered = formulas(self.log, last.fit.tables, last.fit.path, of_noise=best is None or absorbs)
         wanted: tuple[Direction, ...] = directions(offered)
         if not wanted:
             return _Rules([], (), last.judgement, np.inf)
         evidence, judgement, z, _ = judged_again(self.judged, wanted, self.split, self.settings)
         # Noise with a memory, or more noise, takes up much of what follows a rule: it has the greater score then.
-        absorbs = best is not None and best.effect is not None and best.effect.absorber
         beyond = (_NEARLY if absorbs else 1.0) * abs(best.z) if best is not None else 0.0
         remarkable = (np.abs(judgement.z) > judgement.critical_z) & (np.abs(z) > beyond)
         order = [int(k) for k in np.argsort(-np.abs(z)) if remarkable[k]]

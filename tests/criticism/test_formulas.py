@@ -45,6 +45,14 @@ def test_formulas_do_what_they_say(library):
     np.testing.assert_allclose(longer.bias_at, 0.05 * np.cos(direction), atol=1e-12)
 
 
+def test_noise_of_ranges_follows_a_rule(library):
+    log, tables, library = library
+    factor = library["formula: log sigma_range += c*abs(turn_rate)"].edit(tables, [1.5], log).sensors[0].std_factor
+    np.testing.assert_allclose(factor[1:], np.exp(1.5 * np.abs(log.odometry[1:, 2])))
+    plain = formulas(log, tables, np.array(log.true_poses), of_noise=False)
+    assert not any("sigma" in effect.name for effect in plain)
+
+
 def test_null_changes_nothing_and_parts_of_a_log_work(library):
     log, tables, library = library
     part = log.select(0, 50)
@@ -68,6 +76,8 @@ def test_formulas_are_effects_of_an_ordinary_model(library):
 
 def test_coefficient_is_filled_in():
     assert filled_in("formula: turn += c*cos(heading)", 0.0312) == "formula: turn += 0.0312*cos(heading)"
+    assert filled_in("formula: translation *= 1 + c*speed", -0.25) == "formula: translation *= 1 - 0.25*speed"
+    assert filled_in("formula: turn += c*speed", -0.25) == "formula: turn += -0.25*speed"
 
 
 @pytest.mark.slow
