@@ -3,7 +3,8 @@
 :func:`~pmcl.criticism.workflow.criticize` runs the whole loop. Its steps are modules of their own, in this order:
 :mod:`~pmcl.criticism.fit` (calibrate quickly), :mod:`~pmcl.criticism.evidence` (what one pass over a log tells),
 :mod:`~pmcl.criticism.replicate` (the same from logs that the fitted model simulates), :mod:`~pmcl.criticism.alarms`
-(what is unusual, at a known false-alarm rate), :mod:`~pmcl.criticism.naming` (which effect explains it),
-:mod:`~pmcl.criticism.heldout` (what it is worth on data not used) and :mod:`~pmcl.criticism.formulas` (when nothing
-known does). The result goes to :mod:`pmcl.reports` and, as JSON, to files.
+(what is unusual, at a known false-alarm rate), :mod:`~pmcl.criticism.trials` (candidates refitted),
+:mod:`~pmcl.criticism.naming` (which of them explains it), :mod:`~pmcl.criticism.heldout` (what it is worth on data not
+used), :mod:`~pmcl.criticism.formulas` and :mod:`~pmcl.criticism.waves` (what no known effect describes).
+:mod:`~pmcl.criticism.search` puts them together. The result goes to :mod:`pmcl.reports` and, as JSON, to files.
 """
