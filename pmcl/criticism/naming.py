@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "choose", "confirmed_without_score", "leaders", "of_the_motion", "of_the_sensors", "of_the_whole_robot", "scan",
+    "choose", "confirmed_without_score", "leaders", "of_a_carrier", "of_the_sensors", "of_the_whole_robot", "scan",
     "shortlist", "twins_of", "untried", "untried_twins", "with_rules", "worth_it",
 ]  # fmt: skip
 
@@ -78,19 +78,17 @@ def of_the_whole_robot(wanted: Sequence[Direction], z: Float) -> list[tuple[Effe
     return [(wanted[k].effect, float(z[k])) for k in _distinct(wanted, able)]
 
 
-def of_the_motion(wanted: Sequence[Direction]) -> list[tuple[Effect, float]]:
-    """Return the effects of the motion that have no place, absorbers too, as if nothing were known of their scores."""
-    return _without_scores(one.effect for one in wanted if one.effect.carrier == "motion" and not one.effect.where)
+def of_a_carrier(wanted: Sequence[Direction], z: Float, carrier: str) -> list[tuple[Effect, float]]:
+    """Return the candidates of one carrier that have no place, absorbers too, greatest scores first."""
+    order = [int(k) for k in np.argsort(-np.abs(z))]
+    able = [k for k in order if wanted[k].effect.carrier == carrier and not wanted[k].effect.where]
+    return [(wanted[k].effect, float(z[k])) for k in _distinct(wanted, able)]
 
 
 def of_the_sensors(wanted: Sequence[Direction]) -> list[tuple[Effect, float]]:
     """Return the effects of sensors, of each beam and landmark, as if nothing were known of their scores."""
-    return _without_scores(one.effect for one in wanted if one.effect.carrier not in ("motion", "map"))
-
-
-def _without_scores(effects: Iterable[Effect]) -> list[tuple[Effect, float]]:
     made: list[tuple[Effect, float]] = []
-    for effect in effects:
+    for effect in (one.effect for one in wanted if one.effect.carrier not in ("motion", "map")):
         if not any(_same(effect, one) for one, _ in made):
             made.append((effect, 0.0))
     return made

@@ -17,7 +17,7 @@ from pmcl.criticism.naming import (
     choose,
     confirmed_without_score,
     leaders,
-    of_the_motion,
+    of_a_carrier,
     of_the_sensors,
     of_the_whole_robot,
     scan,
@@ -58,7 +58,7 @@ _FORMULAS = 4
 _NEARLY = 0.5
 _THE_SAME = 0.98
 # Particles, over those of a scored pass, for comparing models that held-out rows do not confirm.
-_MOST_PARTICLES = 16
+_FINEST = 16
 
 
 class Outcome(NamedTuple):
@@ -166,11 +166,20 @@ class Search:
         if best is None or not worth_it(best, last.judgement.critical_z):
             return Outcome(None, None, trials)
         rules = self._rules(last, current, best)
-        trials += rules.trials
+        winner, _ = with_rules(best, twins, rules.trials, rules.critical_z)
+        if winner is not best and winner.effect is not None:
+            # Nothing is called a rule of its own before all that is known of its carrier has been refitted.
+            known = of_a_carrier(self.wanted, z, winner.effect.carrier)
+            more = self._settled(current, self._tried(current, untried(known, trials)))
+            confirmed = [trial for trial in more if worth_it(trial, last.judgement.critical_z)]
+            best, twins = choose([best, *confirmed, *(trial for trial in trials if trial is not best)])
+            assert best is not None
+            trials += more
         best, twins = with_rules(best, twins, rules.trials, rules.critical_z)
+        judged = last.judgement, self.wanted
         if any(best is rule for rule in rules.trials):
-            return Outcome(best, found_effect(best, twins, rules.judgement, rules.wanted), trials)
-        return Outcome(best, found_effect(best, twins, last.judgement, self.wanted), trials)
+            judged = rules.judgement, rules.wanted
+        return Outcome(best, found_effect(best, twins, *judged), trials + rules.trials)
 
     def formula(self, last: Pass, current: Trial) -> Outcome:
         """Look outside the catalogue."""
@@ -229,7 +238,8 @@ class Search:
         except FilterError:
             return None
         self.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
-        for offered in (of_the_motion(self.wanted), of_the_sensors(self.wanted)):
+        nothing = np.zeros(len(self.wanted))
+        for offered in (of_a_carrier(self.wanted, nothing, "motion"), of_the_sensors(self.wanted)):
             new = self._settled(current, self._tried(current, offered))
             trials += new
             for trial in leaders(new):
@@ -258,25 +268,30 @@ class Search:
         self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
 
     def _beyond_chance(self, current: Trial, trials: list[Trial], critical_z: float) -> tuple[Trial, list[Trial]]:
-        """Return the current model and trials, scored with more particles if held-out rows contradict the best trial.
+        """Return the current model and trials, scored with more particles where only these confirm the best trial.
 
         The better a model, the fewer of its particles survive a reading at an edge: a single row may take back all
-        that a right effect gains, by chance. From then on all models are scored so.
+        that a right effect gains, by chance. Where that was so all models are scored with more from then on.
         """
         best, _ = choose(trials)
         if best is None or not best.on_fit.significant or worth_it(best, critical_z):
             return current, trials
-        if self.settings.comparing < _MOST_PARTICLES * self.settings.particles:
-            self.settings.tell("held-out rows do not confirm it: scoring with more particles")
-            self.settings = replace(self.settings, finer=_MOST_PARTICLES)
-        current = self.fair(current)
-        doubted = leaders(trials)
+        if self.settings.finer == _FINEST:
+            return current, trials
+        self.settings.tell("held-out rows do not confirm it: scoring with more particles")
+        before, self.settings = self.settings, replace(self.settings, finer=_FINEST)
+        same, doubted = self.fair(current), leaders(trials)
 
         def one(k: int) -> Trial:
             seed, particles = self.settings.seed + 100, self.settings.comparing
-            return scored_anew(doubted[k], current, self.log, self.split, seed=seed, particles=particles)
+            return scored_anew(doubted[k], same, self.log, self.split, seed=seed, particles=particles)
 
-        return current, _replaced(trials, doubted, mapped(one, len(doubted), self.settings.workers))
+        scored = _replaced(trials, doubted, mapped(one, len(doubted), self.settings.workers))
+        best, _ = choose(scored)
+        if best is not None and worth_it(best, critical_z):
+            return same, scored
+        self.settings = before
+        return current, trials
 
     def _tried(self, current: Trial, chosen: list[tuple[Effect, float]]) -> list[Trial]:
         if chosen:

@@ -229,8 +229,13 @@ _LANDMARK_PLACE = ("position", "sensor_pose")
 
 
 def _same_place(table: Any, made_from: Any, fields: tuple[str, ...]) -> bool:
-    pairs = [(getattr(table, name), getattr(made_from, name)) for name in fields if hasattr(table, name)]
-    return all(a is b or np.array_equal(a, b) for a, b in pairs)
+    for name in fields:
+        value = getattr(table, name, None)
+        if value is None or value is (other := getattr(made_from, name)):
+            continue
+        if not np.array_equal(value, other):
+            return False
+    return True
 
 
 @singledispatch

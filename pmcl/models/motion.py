@@ -49,7 +49,7 @@ def increment_residuals(mean: Float, path: NDArray[np.float64]) -> Float:
         Residuals in the robot frame at the previous sample. Turns are compared unwrapped: see
         :mod:`pmcl.models.tables`.
     """
-    step = np.diff(path[:, :3], axis=0)
+    step = path[1:, :3] - path[:-1, :3]
     c, s = np.cos(path[:-1, 2]), np.sin(path[:-1, 2])
     out = np.empty_like(step)
     out[:, 0] = c * step[:, 0] + s * step[:, 1]

@@ -139,14 +139,16 @@ def _log_density(prior: Any) -> Callable[[float], float]:
 
         return from_scipy
     family, a, b, loc, scale, constant = numbers
+    # Looked up once: this is called for each parameter at every proposal.
+    bounded, formula = family in _BOUNDED, _FORMULAS.get(family)
 
     def known(x: float) -> float:
         y = (x - loc) / scale
-        if family == FAMILIES["norm"]:
+        if formula is None:  # a normal
             return constant - 0.5 * y * y
-        if not y > 0.0 or (family in _BOUNDED and y >= 1.0):
+        if not y > 0.0 or (bounded and y >= 1.0):
             return -math.inf
-        return constant + _FORMULAS[family](y, a, b)
+        return constant + formula(y, a, b)
 
     return known
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -225,12 +226,12 @@ class BoundLandmarkNoise:
 
     def table(self, theta: Float) -> LandmarkSightings:
         """Return the table; theta holds the noises in use, then the outlier weight."""
-        n_landmarks = self.base.range_std.size
-        changes: dict[str, Any] = {
-            name: np.full(n_landmarks, value) for name, value in zip(self._fields(), theta, strict=True)
-        }
+        columns = np.empty((len(self._fields), self.base.range_std.size))
+        columns.T[:] = theta
+        changes: dict[str, Any] = dict(zip(self._fields, columns, strict=True))
         return self.base._replace(**changes)
 
+    @functools.cached_property
     def _fields(self) -> list[str]:
         flags = (
             (self.range, "range_std"),

@@ -10,7 +10,7 @@ from pmcl.criticism.fit import BRIEF, quick_fit
 from pmcl.criticism.heldout import paired_gain
 from pmcl.criticism.naming import (
     choose,
-    of_the_motion,
+    of_a_carrier,
     of_the_sensors,
     of_the_whole_robot,
     untried,
@@ -117,7 +117,7 @@ def test_effects_of_the_whole_robot_are_those_without_a_place():
     assert len(set(names)) == len(names)
     found = [deviation for _, deviation in of_the_whole_robot(wanted, z)]
     assert found == sorted(found, reverse=True)
-    moving = [effect for effect, _ in of_the_motion(wanted)]
+    moving = [effect for effect, _ in of_a_carrier(wanted, z, "motion")]
     assert {"turn-noise-grows-with-turn", "odometry-arc"} < {effect.name for effect in moving}
     assert "slippery-patch" not in {effect.name for effect in moving}
     assert {effect.carrier for effect in moving} == {"motion"}
