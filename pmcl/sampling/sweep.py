@@ -208,16 +208,17 @@ def _sweep(
         bound, state.theta, tables, paths, state.log_step, settings.metropolis_steps, settings.gain, rng
     )
     tables = bound.tables(theta)
-    value = _joint(bound, theta, tables, paths)
-    walked = jumped = refreshed = math.nan
+    value = walked = jumped = refreshed = math.nan
     log_scale = state.log_scale
     if transport is not None and settings.transport_moves > 0 and rows == everything:
         theta, moved, value, walked, jumped, refreshed = transport_moves(
-            bound, theta, tables, paths, value, transport, transform, settings.transport_moves, math.exp(log_scale), rng
+            bound, theta, tables, paths, transport, transform, settings.transport_moves, math.exp(log_scale), rng
         )
         if settings.gain > 0.0:
             log_scale += 4.0 * settings.gain * (walked - WALK_ACCEPTANCE)
         path = np.concatenate(moved)
+    if math.isnan(value):  # no move was made that would know it
+        value = _joint(bound, theta, tables, paths)
     new = ChainState(
         theta, value, path, log_step, log_scale, rows, accepted, walked, jumped, refreshed, 0.0, 0.0, 0.0, dead
     )

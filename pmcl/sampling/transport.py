@@ -74,7 +74,11 @@ class Proposal:
 
 
 class TransportResult(NamedTuple):
-    """State after some moves; shares of accepted walks and jumps (NaN: none made), and of the path's rows redrawn."""
+    """State after some moves; shares of accepted walks and jumps (NaN: none made), and of the path's rows redrawn.
+
+    `log_joint` is log p(theta, trajectories, readings) of the new state; NaN where the linearised path had no
+    factorisation, so that nothing was moved.
+    """
 
     theta: Float
     paths: list[Float]
@@ -158,7 +162,6 @@ def transport_moves(
     theta: Float,
     all_tables: Sequence[Tables],
     paths: Sequence[Float],
-    log_joint: float,
     transport: Transport,
     transform: Unconstrained,
     n_moves: int,
@@ -177,8 +180,6 @@ def transport_moves(
         Their coefficient tables, one for each log.
     paths : sequence of ndarray, shape (T_l, D)
         Current trajectories over all rows.
-    log_joint : float
-        log p(theta, trajectories, readings) at the current state.
     transport : Transport
         The linearisation and proposal; they must not depend on the current state.
     transform : Unconstrained
@@ -198,7 +199,7 @@ def transport_moves(
     geometries = transport.geometries_at(all_tables)
     now = _factorisations(all_tables, geometries, transport.references)
     if now is None:
-        return TransportResult(theta, list(paths), log_joint, 0.0, math.nan, 0.0)
+        return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)
     paths, log_joint, refreshed = _redrawn(all_tables, geometries, transport.references, paths, rng)
     log_joint += bound.log_prior(theta)
     proposal = transport.proposal

@@ -95,11 +95,10 @@ def test_transport_moves_carry_parameters_and_path_together(name, rng):
     u = transform.to_line(theta)
     transport = linearised_at(bound, theta, [path], Proposal(0.03 * np.eye(theta.size)))
     assert transport is not None
-    value = bound.log_prior(theta) + log_joint(bound.tables(theta)[0], path)
     sfc = make_rng(int(rng.integers(2**62)))
     tables = bound.tables(theta)
-    assert transport_moves(bound, theta, tables, [path], value, transport, transform, 20, 0.0, sfc).walked == 1.0
-    made = transport_moves(bound, theta, tables, [path], value, transport, transform, 150, 1.0, sfc)
+    assert transport_moves(bound, theta, tables, [path], transport, transform, 20, 0.0, sfc).walked == 1.0
+    made = transport_moves(bound, theta, tables, [path], transport, transform, 150, 1.0, sfc)
     assert made.walked > 0.01
     assert made.refreshed >= 0.0
     assert (transform.to_line(made.theta) != u).all()
@@ -133,11 +132,10 @@ def test_without_the_moved_readings_moves_of_the_mount_are_hardly_accepted(rng):
     step[-1, -1] = 0.02
     transform = Unconstrained(bound.parameters)
     transport = linearised_at(bound, theta, [path], Proposal(step))
-    value = bound.log_prior(theta) + log_joint(bound.tables(theta)[0], path)
     shares = []
     for one in (transport, replace(transport, sensors=())):
         sfc = make_rng(7)
-        made = transport_moves(bound, theta, bound.tables(theta), [path], value, one, transform, 300, 1.0, sfc)
+        made = transport_moves(bound, theta, bound.tables(theta), [path], one, transform, 300, 1.0, sfc)
         shares.append(made.walked)
     assert shares[0] > 3.0 * shares[1]
     assert shares[0] > 0.1

@@ -130,12 +130,11 @@ def test_what_moves_return_belongs_together(which, rail, amigobot, rng):
     bound, transport = rail if which == "rail" else amigobot[::2]
     theta, paths = bound.prior_mean(), [transport.references[0].copy()]
     tables = bound.tables(theta)
-    value = bound.log_prior(theta) + log_joint(tables[0], paths[0])
     transform = Unconstrained(bound.parameters)
     sfc = make_rng(int(rng.integers(2**62)))
     proposal = Proposal(0.3 * np.eye(theta.size), transform.to_line(theta), 0.4 * np.eye(theta.size))
     transport = replace(transport, proposal=proposal)
-    made = transport_moves(bound, theta, tables, paths, value, transport, transform, 200, 1.0, sfc)
+    made = transport_moves(bound, theta, tables, paths, transport, transform, 200, 1.0, sfc)
     assert 0.02 < made.walked < 1.0
     assert 0.02 < made.jumped < 1.0
     assert made.refreshed > 0.1
@@ -148,12 +147,11 @@ def test_proposals_outside_the_prior_are_refused(amigobot, rng):
     """Huge steps never give parameters without density, and no step at all is always accepted."""
     bound, reference, transport = amigobot
     tables = bound.tables(THETA)
-    value = bound.log_prior(THETA) + log_joint(tables[0], reference)
     transform, sfc = Unconstrained(bound.parameters), make_rng(int(rng.integers(2**62)))
-    far = transport_moves(bound, THETA, tables, [reference], value, transport, transform, 50, 1e3, sfc)
+    far = transport_moves(bound, THETA, tables, [reference], transport, transform, 50, 1e3, sfc)
     assert far.walked == 0.0
     np.testing.assert_array_equal(far.theta, THETA)
-    assert transport_moves(bound, THETA, tables, [reference], value, transport, transform, 50, 0.0, sfc).walked == 1.0
+    assert transport_moves(bound, THETA, tables, [reference], transport, transform, 50, 0.0, sfc).walked == 1.0
 
 
 # The path redrawn in blocks from the linearised model
