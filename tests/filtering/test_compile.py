@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core import caching
 from oracles import hidden_markov
 from oracles.random_walk_model import rail_log, rail_model
 
@@ -136,6 +137,26 @@ def test_a_second_process_uses_what_the_first_compiled_until_a_source_changes(tm
     source.write_text(SMALL.replace("VALUE", "4"))
     assert run() == ["4", "0", "1"]
     assert run() == ["4", "1", "0"]
+
+
+@pytest.mark.parametrize("kind", ["pmcl's", "numba's"])
+def test_two_processes_that_save_at_once_do_not_mix_up_their_code(tmp_path, kind):
+    """One saves all of its own between the other's two files, knowing nothing of it; numba's own files then lie."""
+    files = compilation._CacheFiles if kind == "pmcl's" else caching.IndexDataCacheFile
+    one, two, later = (files(str(tmp_path), "function", "stamp") for _ in range(3))
+    save_data = one._save_data
+
+    def interrupted(name, data):
+        if not list(tmp_path.glob("*.nbc")):
+            two._load_index = dict
+            two.save("key of two", "code of two")
+        save_data(name, data)
+
+    one._save_data = interrupted
+    one.save("key of one", "code of one")
+    found = later.load("key of two")
+    assert found == ("code of two" if kind == "pmcl's" else "code of one")
+    assert later.load("key of one") in ("code of one", None)
 
 
 @pytest.mark.slow

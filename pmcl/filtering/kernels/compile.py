@@ -20,6 +20,7 @@ import hashlib
 import inspect
 import pickle
 import threading
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,20 @@ def _source_hash() -> str:
 _FOREIGN = (ImportError, AttributeError, pickle.UnpicklingError)
 
 
+class _CacheFiles(caching.IndexDataCacheFile):
+    """numba's index and code files, with a name of its own for each piece of code.
+
+    numba numbers them and writes the index first: of two processes that compile one function for different models at
+    the same time both may take the same number, and the index of one then names the machine code of the other.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        stem = self._index_name.removesuffix(".nbi")
+        name = self._load_index().get(key) or f"{stem}.{uuid.uuid4().hex[:16]}.nbc"
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
+
+
 class _SourceKeyedCache(caching.FunctionCache):
     """numba's function cache with the hash of all sources in the key, and an index of its own for each hash.
 
@@ -106,7 +121,7 @@ class _SourceKeyedCache(caching.FunctionCache):
         return (*super()._index_key(sig, codegen), _source_hash())
 
     def _choose_index(self) -> None:
-        self._cache_file = caching.IndexDataCacheFile(
+        self._cache_file = _CacheFiles(
             cache_path=self._cache_path,
             filename_base=f"{self._impl.filename_base}.{_source_hash()[:12]}",
             source_stamp=self._impl.locator.get_source_stamp(),
