@@ -16,7 +16,7 @@ from pmcl.maps.walls import WallMap
 from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.robots.landmark_field import simulate_landmark_field
 
-__all__ = ["ALIKE", "PLACES", "Hidden", "make", "sealed", "simulate"]
+__all__ = ["ALIKE", "ONLY_THERE", "PLACES", "Hidden", "make", "sealed", "simulate"]
 
 ROWS = 600
 # Middling noise, varied by a third from log to log.
@@ -24,6 +24,9 @@ SONAR = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_r
 SIGHTS = {
     "sigma_forward": 0.05, "sigma_left": 0.03, "sigma_turn": 0.03, "sigma_landmark_range": 0.2, "sigma_bearing": 0.04,
 }  # fmt: skip
+PITCH = {"sigma_forward": 0.02, "sigma_left": 0.015, "sigma_turn": 0.05, "sigma_bearing": 0.04, "sigma_size": 0.1}
+CAMERA = 2.0
+"""Field of view [rad]."""
 HALL = WallMap.from_polygon(
     [(0.0, 0.0), (4.6, 0.0), (4.6, 2.4), (3.4, 2.4), (3.4, 3.6), (1.5, 3.6), (1.5, 2.7), (0.0, 2.7)]
 )
@@ -33,7 +36,9 @@ CIRCLE = np.column_stack([0.95 + 0.45 * np.cos(_ANGLES), 0.95 + 0.45 * np.sin(_A
 """Always to the left at one speed: turn scale, turn bias and arc are then the same."""
 
 ALIKE = ("odometry-turn-scale", "odometry-turn-bias", "odometry-arc")
-PLACES = ("room", "hall", "field", "circle")
+PLACES = ("room", "hall", "field", "circle", "camera", "pitch")
+ONLY_THERE = {"camera": ("range-is-depth",), "pitch": ("landmark-size-scale",)}
+"""Effects that no other place can show: a camera that looks ahead, and one that reads sizes instead of distances."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +62,16 @@ def simulate(place: str, effects: Sequence[str], seed: int, rows: int = ROWS, hi
     """Simulate one log with effects: NAME=MAGNITUDE, or a name from outside the catalogue."""
     given = tuple((OUTSIDE[text], (1.0,)) if text in OUTSIDE else text for text in effects)
     rng = np.random.default_rng(seed)
-    usual = SIGHTS if place == "field" else SONAR
+    usual = {"field": SIGHTS, "camera": SIGHTS, "pitch": PITCH}.get(place, SONAR)
     theta = {name: std * float(np.exp(0.3 * rng.standard_normal())) for name, std in usual.items()}
     told = {"effects": given, "hide_effects": hide}
     if place == "field":
         return simulate_landmark_field(rows, seed, theta, bearings=True, reach=12.0, **told)
+    if place == "camera":
+        view = {"n_landmarks": 16, "field_of_view": CAMERA}
+        return simulate_landmark_field(rows, seed, theta, bearings=True, reach=12.0, **view, **told)
+    if place == "pitch":
+        return pmcl.simulate_aibo(float(rows), seed, theta, **told)
     if place == "hall":
         return pmcl.simulate_amigobot(float(rows), seed, theta, room=HALL, waypoints=HALL_WAYPOINTS, **told)
     waypoints = CIRCLE if place == "circle" else None

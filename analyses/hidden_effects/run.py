@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from logs import ALIKE, Hidden, make, sealed, wanted
+from logs import ALIKE, ONLY_THERE, Hidden, make, sealed, wanted
 from outside import OUTSIDE
 from scoring import FORMULA, IN_THE_DATA, append, read_results, scored
 
@@ -55,6 +55,10 @@ def whole_block(given: argparse.Namespace) -> list[tuple[str, list[str]]]:
             lists += given.seeds * [(place, [name]) for name in OUTSIDE]
         if given.effects == "all":
             lists += pairs(place, given)
+    for place in [one for one in ONLY_THERE if one in given.places.split(",")]:
+        shown = [name for name in ONLY_THERE[place] if name in names]
+        lists += 2 * given.seeds * [(place, one) for one in wanted(place, shown, magnitudes)]
+        lists += given.nulls // 4 * [(place, [])]
     if given.effects == "all" and "room" in given.places:
         lists += 2 * given.seeds * [("circle", [f"{name}=clear"]) for name in ALIKE]
     return lists
@@ -176,7 +180,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--block", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=1, help="of each effect, magnitude and room; twice in the field")
-    parser.add_argument("--places", default="room,hall,field")
+    parser.add_argument("--places", default="room,hall,field,camera,pitch")
     parser.add_argument("--effects", default="all", help="names with commas between; then nothing but these")
     parser.add_argument("--magnitudes", default="clear,large")
     parser.add_argument("--nulls", type=int, default=22, help="logs without an effect in each place")

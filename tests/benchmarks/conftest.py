@@ -1,4 +1,4 @@
-"""Models and states that the benchmarks share: ``pytest tests/benchmarks --benchmark-only``."""
+"""Models and states that the benchmarks share: ``pytest tests/benchmarks --benchmark-only -n 0``."""
 
 from __future__ import annotations
 
