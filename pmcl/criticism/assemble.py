@@ -57,6 +57,7 @@ def found_effect(
     return FoundEffect(
         effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value), *accepted.on_heldout,
         tuple(called(other) for other in others), tuple(dict.fromkeys(text for text in advice if text)),
+        effect.finding,
     )  # fmt: skip
 
 

@@ -24,11 +24,26 @@ FORMAT = "pmcl-criticism/1"
 
 @dataclass(frozen=True)
 class Estimate:
-    """Posterior mean and standard deviation of a parameter, with its unit."""
+    """Posterior mean and standard deviation of a parameter, with its unit.
+
+    Formatted it is text for people: ``+`` keeps the sign, ``%`` gives per cent, ``left|right`` a word for each sign.
+    """
 
     mean: float
     sd: float
     unit: str
+
+    def __format__(self, wanted: str) -> str:
+        """Return the size, rounded by its standard deviation, or the word that `wanted` has for its sign."""
+        if "|" in wanted:
+            positive, negative = wanted.split("|")
+            return negative if self.mean < 0.0 else positive
+        scale, unit = (100.0, "%") if wanted == "%" else (1.0, "" if self.unit == "1" else self.unit)
+        mean, sd = scale * (self.mean if wanted == "+" else abs(self.mean)), scale * self.sd
+        if not 0.0 < sd < math.inf:
+            return f"{mean:.3g} {unit}".rstrip()
+        digits = max(1 - math.floor(math.log10(sd)), 0)
+        return f"{mean:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -51,6 +66,8 @@ class FoundEffect:
         Effects that this log cannot tell from it.
     advice : tuple of str
         What motion would tell them apart.
+    finding : str
+        What is said of the log, see :class:`~pmcl.models.effects.effect.Effect`; empty for a formula.
     """
 
     name: str
@@ -62,6 +79,7 @@ class FoundEffect:
     log_score_gain_se: float
     not_distinguishable_from: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    finding: str = ""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
-    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "called", "channels_of", "sentence_of", "verdict_of",
+    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "called", "channels_of", "sentence_of", "told", "verdict_of",
 ]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
@@ -23,8 +23,11 @@ WORTH_A_FORMULA = _ALONE
 
 
 def called(effect: Effect | FoundEffect) -> str:
-    """Return an effect's name with its place, e.g. "beam-bias (beams 2)"."""
-    place = ", ".join(f"{key} {', '.join(f'{v:g}' for v in values)}" for key, values in effect.where.items())
+    """Return an effect's name with its place, e.g. "beam-bias (beam 2)"."""
+    place = ", ".join(
+        f"{key.removesuffix('s') if len(values) == 1 else key} {', '.join(f'{v:g}' for v in values)}"
+        for key, values in effect.where.items()
+    )
     return f"{effect.name} ({place})" if place else effect.name
 
 
@@ -32,8 +35,12 @@ def channels_of(one: Unexplained, log: RobotLog) -> str:
     """Return the beams or landmarks of a disagreement, landmarks by their names in the log; empty for all."""
     if not one.channel.startswith("landmark") or "landmark" not in log.dataset.coords:
         return ", ".join(map(str, one.beams))
+    return _landmarks(one.beams, log)
+
+
+def _landmarks(numbers: Sequence[int], log: RobotLog) -> str:
     names = log.dataset["landmark"].values
-    return ", ".join(str(names[k]) for k in one.beams)
+    return ", ".join(str(names[k]) for k in numbers)
 
 
 def verdict_of(found: Sequence[FoundEffect], last: Judgement) -> str:
@@ -55,7 +62,7 @@ def sentence_of(
     """Return the verdict in one sentence for a robot engineer."""
     parts = []
     if found:
-        names = "; ".join(_told(effect) for effect in found)
+        names = "; ".join(told(effect, log) for effect in found)
         gain = steps[-1].gap.log_score_per_reading - steps[0].gap.log_score_per_reading
         parts.append(f"{names}; with that in the model the held-out score rises by {gain:.3g} nats per reading")
         changed = _greatest_change(before, after)
@@ -80,13 +87,18 @@ def sentence_of(
     return text[:1].upper() + text[1:]
 
 
-def _told(effect: FoundEffect) -> str:
-    numbers = ", ".join(
-        f"{name} = {one.mean:.3g} ± {one.sd:.1g}{' ' + one.unit if one.unit != '1' else ''}"
-        for name, one in effect.parameters.items()
-    )
-    twins = f" (or {', '.join(effect.not_distinguishable_from)})" if effect.not_distinguishable_from else ""
-    return f"{called(effect)}{twins}: {effect.summary.rstrip('.')} ({numbers})"
+def told(effect: FoundEffect, log: RobotLog) -> str:
+    """Say what was found, e.g. "beam 2 reads 0.0616 ± 0.0031 m too long (beam-bias)"."""
+    twins = effect.not_distinguishable_from
+    alike = f"; this log cannot tell it from {' or '.join(twins)}" if twins else ""
+    if not effect.finding:
+        numbers = ", ".join(f"{name} = {one:+}" for name, one in effect.parameters.items())
+        return f"{called(effect)}: {effect.summary.rstrip('.')} ({numbers}{alike})"
+    places = {
+        key: _landmarks(values, log) if key == "landmarks" else ", ".join(f"{value:g}" for value in values)
+        for key, values in effect.where.items()
+    }
+    return f"{effect.finding.format(*effect.parameters.values(), **places)} ({effect.name}{alike})"
 
 
 def _greatest_change(before: Mapping[str, Estimate], after: Mapping[str, Estimate]) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 
 from pmcl.criticism.result import Candidate, Criticism, Estimate
-from pmcl.criticism.verdict import channels_of
+from pmcl.criticism.verdict import called, channels_of
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
 from pmcl.reports.html import embedded, page, write_page
 from pmcl.reports.posterior_report import Picture
@@ -39,6 +40,7 @@ def write_criticism_report(found: Criticism, path: str | os.PathLike[str]) -> No
         unexplained=[(one, channels_of(one, found.log)) for one in found.unexplained],
         notes=found.notes,
         number=_number,
+        called=called,
         parameters=_parameters(found),
         gaps=_gaps(found),
         alarms=[(_stage(step.model), step.alarms) for step in found.steps],
@@ -126,7 +128,7 @@ def _stage(model: tuple[str, ...]) -> str:
 
 
 def _estimate(one: Estimate | None) -> str:
-    return "" if one is None else f"{_number(one.mean)} ± {one.sd:.2g}"
+    return "" if one is None else f"{replace(one, unit='1'):+}"
 
 
 def _number(value: float) -> str:

@@ -20,6 +20,7 @@ An effect of one's own is a few lines of numpy. A robot that pulls to one side w
     torque_steer = Effect(
         name="torque-steer",
         summary="The robot pulls to one side whenever it accelerates.",
+        finding="accelerating turns the robot to the {0:left|right} by {0}",
         parameters=(Parameter("torque_steer", "rad/m", stats.norm(scale=0.5)),),
         null=(0.0,),
         change=pulled,

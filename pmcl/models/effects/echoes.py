@@ -82,6 +82,7 @@ ECHO_EFFECTS = (
     Effect(
         name="random-readings",
         summary="Some readings have nothing to do with the room: any length is as likely as any other.",
+        finding="{0:%} of the readings have nothing to do with the room",
         parameters=(Parameter("random_readings_weight", "1", stats.beta(1.0, 15.0), "share of random readings"),),
         null=(0.0,),
         change=_random,
@@ -99,6 +100,7 @@ ECHO_EFFECTS = (
     Effect(
         name="short-readings",
         summary="Some readings are too short: people and things that the map does not know pass by.",
+        finding="{0:%} of the readings stop short of the wall, some {1} from the robot",
         parameters=(
             Parameter("short_readings_weight", "1", stats.beta(1.0, 8.0), "share of readings that are too short"),
             Parameter("short_readings_length", "m", gamma_prior(1.0), "scale of their distance from the robot"),
@@ -120,6 +122,7 @@ ECHO_EFFECTS = (
     Effect(
         name="max-range-readings",
         summary="Some readings get no echo and show the greatest range.",
+        finding="{0:%} of the readings get no echo and show the greatest range",
         parameters=(Parameter("max_range_readings_weight", "1", stats.beta(1.0, 8.0), "share of readings without "
                               "echo"),),
         null=(0.0,),
@@ -137,6 +140,7 @@ ECHO_EFFECTS = (
     Effect(
         name="dead-beam",
         summary="One beam often or always shows the greatest range, whatever is in front of it.",
+        finding="beam {beams} shows the greatest range in {0:%} of its readings, whatever is in front of it",
         parameters=(Parameter("dead_beam_weight", "1", stats.beta(1.0, 1.0), "share of its readings without echo"),),
         null=(0.0,),
         change=_dead_beam,
@@ -151,6 +155,7 @@ ECHO_EFFECTS = (
     Effect(
         name="cross-talk",
         summary="Now and then a beam shows the echo of its neighbour.",
+        finding="{0:%} of the readings are the echo of a neighbouring beam",
         parameters=(Parameter("cross_talk_weight", "1", stats.beta(1.0, 8.0), "share of readings that are a "
                               "neighbour's"),),
         null=(0.0,),
@@ -166,6 +171,7 @@ ECHO_EFFECTS = (
     Effect(
         name="specular-reflection",
         summary="Beams that graze a wall glance off and come back by a detour, or not at all.",
+        finding="{0:%} of the beams that meet a wall at more than {1} from square glance off",
         parameters=(
             Parameter("specular_reflection_weight", "1", stats.beta(1.0, 2.0), "share of grazing beams that glance "
                       "off"),
@@ -185,6 +191,7 @@ ECHO_EFFECTS = (
     Effect(
         name="beam-width",
         summary="A beam is a cone, and what is nearest in it answers.",
+        finding="a beam is a cone of {0}, and what is nearest in it answers",
         parameters=(Parameter("beam_width", "rad", stats.halfnorm(scale=0.4), "full angle of the cone"),),
         null=(0.0,),
         change=_beam_width,

@@ -52,6 +52,11 @@ class Effect:
         One of :data:`CARRIERS`.
     look : str
         What it looks like in the data.
+    finding : str
+        What is said of a log that has it, with what was measured, e.g. ``"beam {beams} reads {0} {0:too long|too
+        short}"``: its place by name, its parameters by number. ``{0}`` is the size with unit and standard deviation,
+        ``{0:+}`` the same with its sign, ``{0:%}`` in per cent, ``{0:left|right}`` a word for each sign. Without it
+        the summary and the values are told.
     typical : mapping of str to tuple of float
         A value of each parameter at each of :data:`MAGNITUDES`.
     where : mapping
@@ -86,6 +91,7 @@ class Effect:
     change: Callable[[Tables, Any, RobotLog, Where], Tables]
     carrier: str = "sensor"
     look: str = ""
+    finding: str = ""
     typical: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     where: Where = field(default_factory=dict)
     shape: tuple[str, ...] = ()

@@ -55,6 +55,7 @@ GRIP_EFFECTS = (
     Effect(
         name="wheel-slip",
         summary="Now and then the wheels slip, and a step falls far short of what odometry says.",
+        finding="in {0:%} of the steps the wheels slip and lose {1:%} of the distance",
         parameters=(
             Parameter("wheel_slip_weight", "1", stats.beta(1.0, 15.0), "share of steps that slip"),
             Parameter("wheel_slip_share", "1", stats.beta(6.0, 3.0), "share of its distance that such a step loses"),
@@ -75,6 +76,7 @@ GRIP_EFFECTS = (
     Effect(
         name="heavy-tailed-motion-noise",
         summary="Most steps are as precise as ever, but some are off by much more than noise explains.",
+        finding="some steps are off by much more than noise explains (inverse degrees of freedom of Student's t {0})",
         parameters=(Parameter("heavy_tailed_motion_noise", "1", stats.uniform(scale=0.5), "inverse degrees of freedom "
                               "of Student's t"),),
         null=(0.0,),
@@ -90,6 +92,7 @@ GRIP_EFFECTS = (
     Effect(
         name="turn-noise-correlated",
         summary="The turn rate is off by an amount that wanders slowly, as with the drift of a gyro.",
+        finding="the turn rate is off by {0} and wanders over {1}",
         parameters=(
             Parameter("turn_noise_correlated", "rad/s", stats.halfnorm(scale=0.1), "standard deviation of the rate"),
             Parameter("turn_noise_correlated_time", "s", gamma_prior(30.0), "time over which it forgets itself"),
@@ -108,6 +111,7 @@ GRIP_EFFECTS = (
     Effect(
         name="slippery-patch",
         summary="In one part of the floor the robot gets less far than its odometry says.",
+        finding="within {3} of ({1:+}, {2:+}) the robot loses {0:%} of its distance",
         parameters=(
             Parameter("slippery_patch", "1", stats.beta(1.0, 2.0), "share of the distance that is lost there"),
             Parameter("slippery_patch_x", "m", stats.norm(scale=5.0), "centre of the patch"),

@@ -116,6 +116,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="bearing-bias",
         summary="All bearings to landmarks are off by the same angle.",
+        finding="all bearings to landmarks read {0} too far {0:left|right}",
         parameters=(Parameter("bearing_bias", "rad", stats.norm(scale=0.15), "how far too far left bearings read"),),
         null=(0.0,),
         change=_bearing_bias,
@@ -133,6 +134,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="landmark-range-bias",
         summary="All distances to landmarks read too long (or too short) by the same length.",
+        finding="all distances to landmarks read {0} {0:too long|too short}",
         parameters=(Parameter("landmark_range_bias", "m", stats.norm(scale=0.3), "how much too long distances read"),),
         null=(0.0,),
         change=_range_bias,
@@ -147,6 +149,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="landmark-range-scale",
         summary="All distances to landmarks read too long (or too short) by the same share.",
+        finding="all distances to landmarks read {0:%} {0:too long|too short}",
         parameters=(Parameter("landmark_range_scale", "1", stats.norm(scale=0.1), "share by which distances read too "
                               "long"),),
         null=(0.0,),
@@ -165,6 +168,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="landmark-size-scale",
         summary="All landmarks look larger (or smaller) than they should by the same share.",
+        finding="all landmarks look {0:%} {0:too large|too small}",
         parameters=(Parameter("landmark_size_scale", "1", stats.norm(scale=0.3), "share by which areas are too "
                               "large"),),
         null=(0.0,),
@@ -180,6 +184,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="landmark-range-noise-grows-with-range",
         summary="Distances to far landmarks are noisier than to near ones.",
+        finding="the noise of distances to landmarks grows by {0:%} for each metre of distance",
         parameters=(Parameter("landmark_range_noise_grows_with_range", "1/m", stats.halfnorm(scale=0.3), "growth of "
                               "the noise per metre, as a share of it"),),
         null=(0.0,),
@@ -195,6 +200,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="bearing-noise-falls-with-range",
         summary="Bearings to near landmarks are noisier than to far ones: near ones are wide.",
+        finding="bearings to near landmarks are noisier, at {0} twice as noisy as to far ones",
         parameters=(Parameter("bearing_noise_falls_with_range", "m", stats.halfnorm(scale=3.0), "distance at which the "
                               "noise is twice that of a far landmark"),),
         null=(0.0,),
@@ -210,6 +216,8 @@ LANDMARK_EFFECTS = (
     Effect(
         name="landmark-noise-correlated",
         summary="Errors of a landmark's distance and bearing last from one sighting to the next instead of being new.",
+        finding="errors of a landmark last from one sighting to the next, with correlation {0:+} of distances "
+        "and {1:+} of bearings",
         parameters=(
             Parameter("landmark_noise_correlated_range", "1", stats.uniform(scale=0.99), "correlation of the error of "
                       "a distance with that of the same landmark a row before"),
@@ -236,6 +244,7 @@ LANDMARK_EFFECTS = (
     Effect(
         name="landmark-misread",
         summary="Now and then a landmark is taken for another one.",
+        finding="{0:%} of the sightings are of another landmark than said",
         parameters=(Parameter("landmark_misread_weight", "1", stats.beta(1.0, 10.0), "share of sightings of another "
                               "landmark than said"),),
         null=(0.0,),

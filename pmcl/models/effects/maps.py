@@ -72,6 +72,7 @@ MAP_EFFECTS = (
     Effect(
         name="landmark-moved",
         summary="One landmark stands elsewhere than the map says.",
+        finding="landmark {landmarks} stands {0:+} along x and {1:+} along y from its place on the map",
         parameters=(
             Parameter("landmark_moved_x", "m", stats.norm(scale=0.5), "how far along x from its place on the map"),
             Parameter("landmark_moved_y", "m", stats.norm(scale=0.5), "how far along y from its place on the map"),
@@ -93,6 +94,7 @@ MAP_EFFECTS = (
     Effect(
         name="wall-moved",
         summary="One wall stands farther in or out than the map says.",
+        finding="wall {walls} stands {0} to the {0:left|right} of its place, seen from its first end to its second",
         parameters=(Parameter("wall_moved", "m", stats.norm(scale=0.2), "how far left of its place, seen from its "
                               "first end to its second"),),
         null=(0.0,),
@@ -109,6 +111,7 @@ MAP_EFFECTS = (
     Effect(
         name="unmapped-obstacle",
         summary="Something stands on the floor, always or at times, that the map does not know.",
+        finding="something of radius {3} stands at ({1:+}, {2:+}), in the way of {0:%} of the readings towards it",
         parameters=(
             Parameter("unmapped_obstacle_weight", "1", stats.beta(1.0, 1.0), "share of the readings towards it that it "
                       "answers"),

@@ -51,6 +51,7 @@ GROWING = (
     Effect(
         name="forward-noise-grows-with-distance",
         summary="How far the robot gets is the less certain the longer the step.",
+        finding="forward noise grows by {0} m for each metre of a step",
         parameters=(Parameter("forward_noise_grows_with_distance", "1", stats.halfnorm(scale=0.5), "forward noise per "
                               "metre of the increment, added in squares"),),
         null=(0.0,),
@@ -67,6 +68,7 @@ GROWING = (
     Effect(
         name="turn-noise-grows-with-turn",
         summary="How far the robot turns is the less certain the more it turns.",
+        finding="turn noise grows by {0} rad for each radian of a turn",
         parameters=(Parameter("turn_noise_grows_with_turn", "1", stats.halfnorm(scale=0.3), "turn noise per radian of "
                               "the increment, added in squares"),),
         null=(0.0,),
@@ -83,6 +85,7 @@ GROWING = (
     Effect(
         name="turn-noise-grows-with-distance",
         summary="The heading gets the less certain the farther the robot drives.",
+        finding="turn noise grows by {0} with the length of a step",
         parameters=(Parameter("turn_noise_grows_with_distance", "rad/m", stats.halfnorm(scale=0.5), "turn noise per "
                               "metre of the increment, added in squares"),),
         null=(0.0,),

@@ -109,6 +109,7 @@ MOUNT_EFFECTS = (
     Effect(
         name="sensor-yaw",
         summary="The whole sensor (ring of beams, camera) is mounted at another angle than described.",
+        finding="the whole sensor points {0} too far {0:left|right}",
         parameters=(Parameter("sensor_yaw", "rad", stats.norm(scale=0.15), "by how much the sensor points too far "
                               "left"),),
         null=(0.0,),
@@ -127,6 +128,7 @@ MOUNT_EFFECTS = (
     Effect(
         name="sensor-offset",
         summary="The whole sensor sits ahead of, behind or beside where it is described.",
+        finding="the whole sensor sits {0} farther {0:ahead|back} and {1} farther {1:left|right} than described",
         parameters=(
             Parameter("sensor_offset_x", "m", stats.norm(scale=0.15), "how far ahead of its described place"),
             Parameter("sensor_offset_y", "m", stats.norm(scale=0.15), "how far left of its described place"),
@@ -144,6 +146,7 @@ MOUNT_EFFECTS = (
     Effect(
         name="sensor-latency",
         summary="Readings are older than their time stamps say (or newer, when negative).",
+        finding="readings are {0} {0:older|newer} than their time stamps say",
         parameters=(Parameter("sensor_latency", "s", stats.norm(scale=0.3), "how old readings are"),),
         null=(0.0,),
         change=_latency,
@@ -160,6 +163,7 @@ MOUNT_EFFECTS = (
     Effect(
         name="range-is-depth",
         summary="What is logged as distance is the depth along the optical axis, shorter towards the edge of the view.",
+        finding="what is logged as distance is to {0:%} the depth along the optical axis",
         parameters=(Parameter("range_is_depth", "1", stats.uniform(), "how much so: 0 distance, 1 depth"),),
         null=(0.0,),
         change=_depth,

@@ -115,6 +115,7 @@ ODOMETRY_EFFECTS = (
         name="odometry-forward-scale",
         summary="The robot goes a fixed share farther (or less far) than its odometry says, as with a wrong wheel "
         "radius.",
+        finding="the robot goes {0:%} {0:farther|less far} than its odometry says",
         parameters=(Parameter("odometry_forward_scale", "1", stats.norm(scale=0.1), "share by which distances exceed "
                               "odometry"),),
         null=(0.0,),
@@ -136,6 +137,7 @@ ODOMETRY_EFFECTS = (
         name="odometry-turn-scale",
         summary="The robot turns a fixed share farther (or less far) than its odometry says, as with a wrong wheel "
         "base.",
+        finding="the robot turns {0:%} {0:farther|less far} than its odometry says",
         parameters=(Parameter("odometry_turn_scale", "1", stats.norm(scale=0.15), "share by which turns exceed "
                               "odometry"),),
         null=(0.0,),
@@ -151,6 +153,7 @@ ODOMETRY_EFFECTS = (
     Effect(
         name="odometry-arc",
         summary="Driving straight is really driving an arc, as with wheels of unequal size.",
+        finding="driving straight is really driving an arc to the {0:left|right}, {0}",
         parameters=(Parameter("odometry_arc", "rad/m", stats.norm(scale=0.3), "turn per metre driven forward"),),
         null=(0.0,),
         change=_arc,
@@ -168,6 +171,7 @@ ODOMETRY_EFFECTS = (
     Effect(
         name="odometry-turn-bias",
         summary="The heading drifts at a constant rate, moving or not, as with the offset of a gyro.",
+        finding="the heading drifts to the {0:left|right} by {0} that odometry does not see",
         parameters=(Parameter("odometry_turn_bias", "rad/s", stats.norm(scale=0.1), "rate at which the heading "
                               "drifts"),),
         null=(0.0,),
@@ -185,6 +189,7 @@ ODOMETRY_EFFECTS = (
     Effect(
         name="odometry-side-drift",
         summary="The robot slides to one side in proportion to how far it drives.",
+        finding="the robot slides {0} m to the {0:left|right} for each metre ahead",
         parameters=(Parameter("odometry_side_drift", "1", stats.norm(scale=0.1), "metres to the left per metre "
                               "forward"),),
         null=(0.0,),
@@ -200,6 +205,7 @@ ODOMETRY_EFFECTS = (
     Effect(
         name="odometry-latency",
         summary="The robot really moves some time after odometry says so (or before, when negative).",
+        finding="the robot moves {0} {0:after|before} its odometry says so",
         parameters=(Parameter("odometry_latency", "s", stats.norm(scale=0.3), "how much later than odometry the robot "
                               "moves"),),
         null=(0.0,),

@@ -99,6 +99,7 @@ RANGE_NOISE_EFFECTS = (
     Effect(
         name="heavy-tailed-range-noise",
         summary="Most ranges are as precise as ever, but some are off by much more than noise explains.",
+        finding="some ranges are off by much more than noise explains (inverse degrees of freedom of Student's t {0})",
         parameters=(Parameter("heavy_tailed_range_noise", "1", stats.uniform(scale=0.5), "inverse degrees of freedom "
                               "of Student's t"),),
         null=(0.0,),
@@ -114,6 +115,7 @@ RANGE_NOISE_EFFECTS = (
     Effect(
         name="range-noise-grows-with-range",
         summary="Long ranges are noisier than short ones.",
+        finding="range noise grows by {0:%} for each metre of range",
         parameters=(Parameter("range_noise_grows_with_range", "1/m", stats.halfnorm(scale=1.0), "growth of the noise "
                               "per metre, as a share of it"),),
         null=(0.0,),
@@ -129,6 +131,7 @@ RANGE_NOISE_EFFECTS = (
     Effect(
         name="range-noise-changes-in-time",
         summary="From some time on ranges are noisier (or less noisy) than before.",
+        finding="range noise {0:rises|falls} after {1:%} of the log, its logarithm by {0}",
         parameters=(
             Parameter("range_noise_changes_in_time", "1", stats.norm(scale=0.7), "log of the ratio of noise after to "
                       "before"),
@@ -148,6 +151,7 @@ RANGE_NOISE_EFFECTS = (
     Effect(
         name="range-bias-drifts",
         summary="All beams read longer and longer (or shorter and shorter) as time goes by, as a sensor warms up.",
+        finding="beams come to read {0} {0:too long|too short} by the end of the log",
         parameters=(Parameter("range_bias_drifts", "m", stats.norm(scale=0.2), "how much too long beams read at the "
                               "end"),),
         null=(0.0,),
@@ -165,6 +169,7 @@ RANGE_NOISE_EFFECTS = (
     Effect(
         name="range-noise-correlated",
         summary="Errors of a beam last from one reading to the next instead of being new each time.",
+        finding="a beam's error resembles the one before, with correlation {0:+}",
         parameters=(Parameter("range_noise_correlated", "1", stats.uniform(loc=-0.5, scale=1.45), "correlation of a "
                               "beam's error with the one before"),),
         null=(0.0,),
@@ -183,6 +188,7 @@ RANGE_NOISE_EFFECTS = (
     Effect(
         name="quantized-readings",
         summary="Ranges are rounded to multiples of a step.",
+        finding="readings are rounded to multiples of {0}",
         parameters=(Parameter("quantized_readings", "m", stats.halfnorm(scale=0.3), "step of the rounding"),),
         null=(0.0,),
         change=_rounded,

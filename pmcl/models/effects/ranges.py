@@ -65,6 +65,7 @@ RANGE_EFFECTS = (
     Effect(
         name="range-bias",
         summary="All beams read too long (or too short) by the same length.",
+        finding="all beams read {0} {0:too long|too short}",
         parameters=(Parameter("range_bias", "m", stats.norm(scale=0.1), "how much too long all beams read"),),
         null=(0.0,),
         change=_range_bias,
@@ -82,6 +83,7 @@ RANGE_EFFECTS = (
     Effect(
         name="range-scale",
         summary="All beams read too long (or too short) by the same share, as with a wrong speed of sound.",
+        finding="all beams read {0:%} {0:too long|too short}",
         parameters=(Parameter("range_scale", "1", stats.norm(scale=0.1), "share by which all beams read too long"),),
         null=(0.0,),
         change=_range_scale,
@@ -100,6 +102,7 @@ RANGE_EFFECTS = (
     Effect(
         name="beam-bias",
         summary="One beam reads too long (or too short) by a fixed length.",
+        finding="beam {beams} reads {0} {0:too long|too short}",
         parameters=(Parameter("beam_bias", "m", stats.norm(scale=0.2), "how much too long the beam reads"),),
         null=(0.0,),
         change=_beam_bias,
@@ -115,6 +118,7 @@ RANGE_EFFECTS = (
     Effect(
         name="beam-yaw",
         summary="One beam points to another direction than its mount says.",
+        finding="beam {beams} points {0} too far {0:left|right}",
         parameters=(Parameter("beam_yaw", "rad", stats.norm(scale=0.2), "by how much the beam points too far left"),),
         null=(0.0,),
         change=_beam_yaw,

@@ -1,0 +1,87 @@
+"""What is told of a finding: one sentence with what was measured, rounded by its uncertainty."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
+
+from pmcl.criticism.result import Estimate, FoundEffect
+from pmcl.criticism.verdict import called, told
+from pmcl.models.effects.effect import Effect
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+def found(effect: Effect, values, twins=()) -> FoundEffect:
+    parameters = {
+        p.name: Estimate(value, 0.05 * abs(value), p.unit) for p, value in zip(effect.parameters, values, strict=True)
+    }
+    return FoundEffect(
+        effect.name, effect.summary, effect.where, parameters, 1e-6, 9.0, 2.0, twins, (), effect.finding
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "unit", "wanted", "text"),
+    [
+        (0.06162, 0.003056, "m", "", "0.0616 ± 0.0031 m"),
+        (-0.06162, 0.003056, "m", "", "0.0616 ± 0.0031 m"),
+        (-0.06162, 0.003056, "m", "+", "-0.0616 ± 0.0031 m"),
+        (0.0412, 0.0021, "1", "%", "4.12 ± 0.21 %"),
+        (0.5, 0.09, "1", "+", "0.500 ± 0.090"),
+        (712.3, 45.0, "s", "", "712 ± 45 s"),
+        (0.25, 0.0, "m", "", "0.25 m"),
+        (-0.1, 0.05, "rad", "left|right", "right"),
+        (0.1, 0.05, "rad", "left|right", "left"),
+    ],
+)
+def test_estimates_are_rounded_by_their_uncertainty(mean, sd, unit, wanted, text):
+    assert format(Estimate(mean, sd, unit), wanted) == text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_effect_of_the_catalogue_says_what_was_measured(name):
+    log = log_for(BY_NAME[name])
+    effect = instance(BY_NAME[name], log)
+    values = effect.magnitude("large")
+    text = told(found(effect, values), log)
+    assert effect.finding, "an effect of the catalogue says what it found"
+    assert not re.search(r"[{}|]", text)
+    assert text.endswith(f" ({name})")
+    assert "±" in text
+    # A size that may have either sign is told with its direction.
+    for k in effect.strengths:
+        if not effect.one_sided(k):
+            turned = values.copy()
+            turned[k] = -values[k]
+            assert told(found(effect, turned), log) != text
+
+
+def test_a_finding_names_its_place_and_its_twins():
+    log = sonar_log()
+    effect = BY_NAME["beam-bias"].at({"beams": (2,)}, log)
+    assert called(effect) == "beam-bias (beam 2)"
+    text = told(found(effect, [-0.06], ("beam-yaw (beam 2)",)), log)
+    assert text == (
+        "beam 2 reads 0.0600 ± 0.0030 m too short (beam-bias; this log cannot tell it from beam-yaw (beam 2))"
+    )
+
+
+def test_landmarks_are_called_by_their_names_in_the_log():
+    log = field_log()
+    names = [f"L{k}" for k in range(len(log.dataset.landmark))]
+    named = replace(log, dataset=log.dataset.assign_coords(landmark=names))
+    effect = BY_NAME["landmark-moved"].at({"landmarks": (3,)}, log)
+    assert told(found(effect, [0.3, -0.2]), named).startswith(
+        "landmark L3 stands 0.300 ± 0.015 m along x and -0.200 ± 0.010 m along y from its place on the map"
+    )
+
+
+def test_an_effect_without_a_finding_is_told_by_summary_and_values():
+    effect = replace(BY_NAME["range-bias"], finding="")
+    assert told(found(effect, [-0.04]), sonar_log()) == (
+        "range-bias: All beams read too long (or too short) by the same length (range_bias = -0.0400 ± 0.0020 m)"
+    )
