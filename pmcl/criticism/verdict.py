@@ -74,14 +74,14 @@ def sentence_of(
     if verdict == UNKNOWN:
         worst = unexplained[0]
         kind = "landmark" if worst.channel.startswith("landmark") else "beam"
-        where = worst.channel
+        where = worst.channel if worst.channel in log.dataset else f"the score of {worst.channel}"
         if worst.beams:
             where += f" of {kind}{'s' if len(worst.beams) > 1 else ''} {channels_of(worst, log)}"
         depends = f", depending on {worst.covariate}" if worst.covariate else ""
         rest = "something more is" if found else "something is"
         parts.append(
-            f"{rest} missing that no known effect explains: {where}{depends}, most in rows {worst.time[0]} to "
-            f"{worst.time[1]} (p = {worst.p_value:.1e})"
+            f"{rest} missing that no known effect explains: it shows in {where}{depends}, most in rows "
+            f"{worst.time[0]} to {worst.time[1]} (p = {worst.p_value:.1e})"
         )
     text = "; ".join(parts)
     return text[:1].upper() + text[1:]

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
 
-from pmcl.criticism.result import Estimate, FoundEffect
-from pmcl.criticism.verdict import called, told
+from pmcl.criticism.result import Estimate, FoundEffect, Unexplained
+from pmcl.criticism.verdict import UNKNOWN, called, sentence_of, told
 from pmcl.models.effects.effect import Effect
 
 # mypy: disable-error-code="no-untyped-def"
@@ -84,4 +84,16 @@ def test_an_effect_without_a_finding_is_told_by_summary_and_values():
     effect = replace(BY_NAME["range-bias"], finding="")
     assert told(found(effect, [-0.04]), sonar_log()) == (
         "range-bias: All beams read too long (or too short) by the same length (range_bias = -0.0400 ± 0.0020 m)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("channel", "beams", "told_as"),
+    [("range", (2,), "range of beam 2"), ("range", (), "range"), ("cross-talk", (), "the score of cross-talk")],
+)
+def test_what_nothing_explains_is_told_with_its_place(channel, beams, told_as):
+    rest = Unexplained(channel, beams, "", "mean", (0.0, 1.0), (10, 20), 1e-9)
+    assert sentence_of(UNKNOWN, (), (rest,), (), {}, {}, sonar_log()) == (
+        f"Something is missing that no known effect explains: it shows in {told_as}, "
+        "most in rows 10 to 20 (p = 1.0e-09)"
     )
