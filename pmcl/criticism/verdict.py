@@ -33,14 +33,15 @@ def called(effect: Effect | FoundEffect) -> str:
 
 def channels_of(one: Unexplained, log: RobotLog) -> str:
     """Return the beams or landmarks of a disagreement, landmarks by their names in the log; empty for all."""
-    if not one.channel.startswith("landmark") or "landmark" not in log.dataset.coords:
-        return ", ".join(map(str, one.beams))
-    return _landmarks(one.beams, log)
+    return _named(one.beams, "landmarks" if one.channel.startswith("landmark") else "beams", log)
 
 
-def _landmarks(numbers: Sequence[int], log: RobotLog) -> str:
-    names = log.dataset["landmark"].values
-    return ", ".join(str(names[k]) for k in numbers)
+def _named(numbers: Sequence[float], kind: str, log: RobotLog) -> str:
+    """Return numbers as text, those of landmarks as their names where the log has names."""
+    if kind == "landmarks" and "landmark" in log.dataset.coords:
+        names = log.dataset["landmark"].values
+        return ", ".join(str(names[int(k)]) for k in numbers)
+    return ", ".join(f"{number:g}" for number in numbers)
 
 
 def verdict_of(found: Sequence[FoundEffect], last: Judgement) -> str:
@@ -94,10 +95,7 @@ def told(effect: FoundEffect, log: RobotLog) -> str:
     if not effect.finding:
         numbers = ", ".join(f"{name} = {one:+}" for name, one in effect.parameters.items())
         return f"{called(effect)}: {effect.summary.rstrip('.')} ({numbers}{alike})"
-    places = {
-        key: _landmarks(values, log) if key == "landmarks" else ", ".join(f"{value:g}" for value in values)
-        for key, values in effect.where.items()
-    }
+    places = {kind: _named(values, kind, log) for kind, values in effect.where.items()}
     return f"{effect.finding.format(*effect.parameters.values(), **places)} ({effect.name}{alike})"
 
 

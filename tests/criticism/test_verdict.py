@@ -10,6 +10,7 @@ from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, so
 
 from pmcl.criticism.result import Estimate, FoundEffect, Unexplained
 from pmcl.criticism.verdict import UNKNOWN, called, sentence_of, told
+from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect
 
 # mypy: disable-error-code="no-untyped-def"
@@ -78,6 +79,21 @@ def test_landmarks_are_called_by_their_names_in_the_log():
     assert told(found(effect, [0.3, -0.2]), named).startswith(
         "landmark L3 stands 0.300 ± 0.015 m along x and -0.200 ± 0.010 m along y from its place on the map"
     )
+
+
+def test_landmarks_without_names_are_counted():
+    log = field_log()
+    nameless = replace(log, dataset=log.dataset.drop_vars("landmark", errors="ignore"))
+    effect = BY_NAME["landmark-moved"].at({"landmarks": (3,)}, log)
+    assert told(found(effect, [0.3, -0.2]), nameless).startswith("landmark 3 stands")
+
+
+@pytest.mark.parametrize("finding", ["all beams read {1} too long", "{0} of {7:%}", "beam {beams} reads {0}"])
+def test_a_finding_about_what_is_not_there_is_refused_at_once(finding):
+    with pytest.raises(ModelError, match="expected a finding about 0, but got"):
+        replace(BY_NAME["range-bias"], finding=finding)
+    with pytest.raises(ModelError, match="expected a finding about 0, beams, but got beam;"):
+        replace(BY_NAME["beam-bias"], finding="beam {beam} reads {0}").instances(sonar_log())
 
 
 def test_an_effect_without_a_finding_is_told_by_summary_and_values():

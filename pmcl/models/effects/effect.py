@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -131,6 +132,15 @@ class Effect:
                     f"effect {self.name}: expected the null of {parameter.name} within its prior, {low:g} to {high:g}, "
                     f"but got {value:g}; widen the prior"
                 )
+        known = {str(k) for k in range(len(names))} | set(self.where)
+        told = {name for _, name, _, _ in string.Formatter().parse(self.finding) if name is not None}
+        # Which places an effect has is known of its instances only.
+        strange = sorted(one for one in told - known if one.isdecimal() or self.where or self.places is None)
+        if strange:
+            raise ModelError(
+                f"effect {self.name}: expected a finding about {', '.join(sorted(known))}, but got "
+                f"{', '.join(strange)}; correct what is in braces"
+            )
         unknown = sorted(set(self.shape) - set(names))
         if unknown or len(self.shape) == len(names):
             raise ModelError(
