@@ -100,7 +100,7 @@ def criticize_all(folder: Path, most: int | None, joint: bool) -> None:
 
 
 class FirstName(logging.Handler):
-    """Listens to the progress of a run for the moment at which the first effect is added."""
+    """Listens to the progress of a run for the moment at which the first effect is named."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -108,7 +108,7 @@ class FirstName(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take the time of a step of the run."""
-        if record.getMessage().startswith("added ") and np.isnan(self.seconds):
+        if record.getMessage().startswith(("named ", "added ")) and np.isnan(self.seconds):
             self.seconds = time.process_time() - self.started
 
     def __enter__(self) -> "FirstName":

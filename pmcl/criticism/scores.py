@@ -18,9 +18,9 @@ from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.contract import state_size
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
-from pmcl.models.rich_tables import RichRangeBeams, WanderingMotion, rich_beams
+from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams, WanderingMotion, rich_beams, rich_landmarks
 from pmcl.models.robot_model import BoundModel
-from pmcl.models.tables import RangeBeams, Tables
+from pmcl.models.tables import LandmarkSightings, RangeBeams, Tables
 
 __all__ = ["Direction", "base_rows", "directions", "effect_rows", "fits", "probe_values"]
 
@@ -34,11 +34,19 @@ _BASE_SIZE = 0.02
 _MOST = 50.0
 
 _Beams = RangeBeams | RichRangeBeams
+_Sightings = LandmarkSightings | RichLandmarks
+_BEAMS, _SIGHTINGS = (RangeBeams, RichRangeBeams), (LandmarkSightings, RichLandmarks)
 # Fields whose first axis is the beams.
 _OF_BEAMS = (
     "beam_pose", "bias", "scale", "std", "outlier_weight", "growth", "width", "short_weight", "no_echo_weight",
     "specular_weight", "talk_weight", "correlation",
 )  # fmt: skip
+# Fields whose first axis is the landmarks; and those whose first axis is the sightings.
+_OF_LANDMARKS = (
+    "position", "range_scale", "range_bias", "range_std", "bearing_bias", "bearing_std", "size_constant", "size_std",
+    "outlier_weight", "range_growth", "bearing_falloff", "misread_weight", "range_correlation", "bearing_correlation",
+)  # fmt: skip
+_OF_SIGHTINGS = ("time", "landmark", "range", "bearing", "size")
 
 
 @dataclass(frozen=True)
@@ -154,22 +162,44 @@ def base_rows(bound: BoundModel, theta: Float, columns: Float) -> Float:
 def _differing_beams(one: _Beams, other: _Beams) -> tuple[_Beams, _Beams]:
     """Keep the beams of two tables that are not the same in both: an effect of one beam costs no more than one beam."""
     first, second = (one, other) if type(one) is type(other) else (rich_beams(one), rich_beams(other))
-    same = np.ones(len(first.beam_pose), dtype=bool)
-    for name in first._fields:
-        a, b = getattr(first, name), getattr(second, name)
-        if a is b or name == "neighbours":
-            continue
-        if name in _OF_BEAMS:
-            same &= (a == b).reshape(same.size, -1).all(axis=1)
-        elif name == "bias_at":
-            same &= (a == b).all(axis=0)
-        elif not np.array_equal(a, b):
-            return one, other
-    kept = np.flatnonzero(~same)
+    differ = _differing(first, second, _OF_BEAMS, apart=("neighbours", "bias_at"))
     # A beam that may show its neighbour's echo cannot be judged without it.
-    if kept.size == same.size or any((table.talk_weight > 0.0).any() for table in (first, second) if _is_rich(table)):
+    if differ is None or any((table.talk_weight > 0.0).any() for table in (first, second) if _is_rich(table)):
         return one, other
+    if _is_rich(first) and _is_rich(second) and first.bias_at is not second.bias_at:
+        differ |= (first.bias_at != second.bias_at).any(axis=0)
+    if differ.all():
+        return one, other
+    kept = np.flatnonzero(differ)
     return _some_beams(first, kept), _some_beams(second, kept)
+
+
+def _differing_sightings(one: _Sightings, other: _Sightings) -> tuple[_Sightings, _Sightings]:
+    """Keep the sightings of landmarks that are not the same in two tables."""
+    first, second = (one, other) if type(one) is type(other) else (rich_landmarks(one), rich_landmarks(other))
+    differ = _differing(first, second, _OF_LANDMARKS)
+    # A sighting that may be of any landmark cannot be judged without the others.
+    misread = (table.misread_weight for table in (first, second) if isinstance(table, RichLandmarks))
+    if differ is None or differ.all() or any((weight > 0.0).any() for weight in misread):
+        return one, other
+    return _some_sightings(first, differ), _some_sightings(second, differ)
+
+
+def _differing(one: Any, other: Any, fields: Sequence[str], apart: Sequence[str] = ()) -> NDArray[np.bool_] | None:
+    """Return in which elements of the first axis of some fields two tables of one type differ.
+
+    None where they differ in other fields as well; those named `apart` are not looked at.
+    """
+    differ = np.zeros(len(getattr(one, fields[0])), dtype=bool)
+    for name in one._fields:
+        a, b = getattr(one, name), getattr(other, name)
+        if a is b or name in apart:
+            continue
+        if name in fields:
+            differ |= (a != b).reshape(differ.size, -1).any(axis=1)
+        elif not np.array_equal(a, b):
+            return None
+    return differ
 
 
 def _some_beams(beams: _Beams, kept: NDArray[np.int64]) -> _Beams:
@@ -180,6 +210,13 @@ def _some_beams(beams: _Beams, kept: NDArray[np.int64]) -> _Beams:
     if _is_rich(beams):
         changes["neighbours"] = np.zeros((kept.size, 2), dtype=np.int64)
     return beams._replace(**changes)
+
+
+def _some_sightings(seen: _Sightings, landmarks: NDArray[np.bool_]) -> _Sightings:
+    """Return a table of the sightings of some landmarks only."""
+    kept = landmarks[seen.landmark]
+    before = np.concatenate([[0], np.cumsum(kept)])
+    return seen._replace(first=before[seen.first], **{name: getattr(seen, name)[kept] for name in _OF_SIGHTINGS})
 
 
 def _is_rich(beams: _Beams) -> TypeGuard[RichRangeBeams]:
@@ -207,8 +244,10 @@ class _Terms:
         for one, other in zip(above.sensors, below.sensors, strict=True):
             if one is other:
                 continue
-            if isinstance(one, (RangeBeams, RichRangeBeams)) and isinstance(other, (RangeBeams, RichRangeBeams)):
+            if isinstance(one, _BEAMS) and isinstance(other, _BEAMS):
                 one, other = _differing_beams(one, other)
+            elif isinstance(one, _SIGHTINGS) and isinstance(other, _SIGHTINGS):
+                one, other = _differing_sightings(one, other)
             row += _bounded(self._sensor(one), self._sensor(other))
 
     def _motion(self, tables: Tables) -> Float:

@@ -164,8 +164,9 @@ class _Loop:
             recovered = self.search.found_again(fit, self._follow)
             if recovered is None:
                 raise
-            at = str(lost).partition(" at ")[2].partition(";")[0]
-            self.notes.append(f"without {recovered[0].model.effects[-1].name} the filter loses the robot at {at}")
+            at, name = str(lost).partition(" at ")[2].partition(";")[0], recovered[0].model.effects[-1].name
+            self.notes.append(f"without {name} the filter loses the robot at {at}")
+            self.settings.tell(f"named {name}: with it the filter follows")
         first = last = self.search.criticised(fit)
         seen = first.evidence.predictions
         if len(set(zip(seen.kind.tolist(), seen.channel.tolist(), strict=True))) < 2:

@@ -19,6 +19,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.robots.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -127,3 +128,40 @@ def test_an_effect_of_one_beam_costs_one_beam(monkeypatch):
     monkeypatch.setattr(smc, "sensor_terms", lambda table, paths: seen.append(len(table.bias)) or terms(table, paths))
     effect_rows(tables, log, columns, directions([known["beam-bias"]]))
     assert seen == [1, 1]
+
+
+@pytest.mark.parametrize("present", [(), ("landmark-range-noise-grows-with-range",), ("landmark-noise-correlated",)])
+def test_landmarks_that_stay_the_same_are_skipped_without_a_difference(present):
+    log = simulate_landmark_field(60, 3, bearings=True)
+    known = {effect.name: effect for effect in candidates(log)}
+    bound = replace(default_model(log), effects=tuple(known[name] for name in present)).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    paths = np.array([log.dataset["true_pose"].values + 0.01 * k for k in range(3)])
+    columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
+    wanted = directions([effect for effect in candidates(log) if effect.name == "landmark-moved"])
+    assert len(wanted) > 5
+    for direction, row in zip(wanted, effect_rows(tables, log, columns, wanted), strict=True):
+        edited = [direction.effect.edit(tables, values, log) for values in (direction.above, direction.below)]
+        above, below = (smc.sensor_terms(one.sensors[0], columns) for one in edited)
+        np.testing.assert_allclose(row, 0.5 * (above - below).mean(axis=0), atol=1e-9)
+        assert np.abs(row).max() > 1e-3
+
+
+def test_an_effect_of_one_landmark_costs_its_sightings_unless_others_may_be_meant(monkeypatch):
+    log = simulate_landmark_field(60, 3, bearings=True)
+    known = {effect.name: effect for effect in candidates(log)}
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    columns = np.ascontiguousarray(log.dataset["true_pose"].values.T[None])
+    moved = next(effect for effect in candidates(log) if effect.name == "landmark-moved")
+    counted = []
+    terms = smc.sensor_terms
+    monkeypatch.setattr(
+        smc, "sensor_terms", lambda table, paths: counted.append(table.landmark.size) or terms(table, paths)
+    )
+    everything = tables.sensors[0].landmark.size
+    effect_rows(tables, log, columns, directions([moved]))
+    assert all(0 < count < everything / 2 for count in counted)
+    counted.clear()
+    effect_rows(known["landmark-misread"].edit(tables, [0.1], log), log, columns, directions([moved]))
+    assert set(counted) == {everything}

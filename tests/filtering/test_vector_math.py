@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import special
 
-from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, extremes, log_into, maximum, sincos_into, total
+from pmcl.filtering.kernels.vector_math import (
+    atan2_into,
+    exp_into,
+    extremes,
+    log_into,
+    maximum,
+    sincos_into,
+    total,
+    upper_tail_into,
+)
 
 EPS = np.finfo(float).eps
 SMALLEST_NORMAL = np.finfo(float).tiny
@@ -30,6 +40,13 @@ def _sincos(angle):
     sine, cosine = np.empty_like(angle), np.empty_like(angle)
     sincos_into(angle, sine, cosine)
     return sine, cosine
+
+
+def _upper_tail(x):
+    x = np.asarray(x, dtype=float)
+    out = np.empty_like(x)
+    upper_tail_into(x, out)
+    return out
 
 
 def _atan2(y, x):
@@ -145,6 +162,17 @@ def test_atan2_of_the_zero_vector_is_zero():
 def test_atan2_of_no_number_is_no_number():
     # A NaN that came out as an angle would turn a broken pose into a likelihood.
     assert np.isnan(_atan2([np.nan, 1.0, np.nan], [1.0, np.nan, np.nan])).all()
+
+
+def test_upper_tail_agrees_with_scipy_wherever_it_is_a_normal_number():
+    x = np.concatenate([np.linspace(-40.0, 37.0, 77_001), [0.0, -0.0, 1e-300, -1e-17]])
+    np.testing.assert_allclose(_upper_tail(x), special.ndtr(-x), rtol=2e-13, atol=0.0)
+    near = np.abs(x) < 6.0
+    np.testing.assert_allclose(_upper_tail(x[near]), special.ndtr(-x[near]), rtol=2e-14, atol=0.0)
+
+
+def test_upper_tail_of_infinity_and_of_no_number():
+    np.testing.assert_array_equal(_upper_tail([np.inf, -np.inf, 60.0, -60.0, np.nan]), [0.0, 1.0, 0.0, 1.0, np.nan])
 
 
 def test_total_keeps_nan_and_infinity():

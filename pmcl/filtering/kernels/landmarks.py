@@ -18,8 +18,8 @@ from pmcl.filtering.kernels.contract import (
     reading_slots,
     scratch_rows,
 )
-from pmcl.filtering.kernels.geometry import BEARING, RANGE, add_information
-from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, sincos_into
+from pmcl.filtering.kernels.geometry import BEARING, RANGE, SIZE, add_information
+from pmcl.filtering.kernels.vector_math import atan2_into, exp_into, log_into, sincos_into, upper_tail_into
 from pmcl.models.tables import LandmarkSightings
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -155,42 +155,59 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     k, kind = slot // 3, slot % 3
     j, n = sensor.landmark[k], logp.size
     # All readings of a sighting share one coin: how likely it is a gross error, given those before.
-    gross = memory[0]
+    gross, sine, cosine = memory[0], memory[1], memory[2]
+    if slot == 3 * sensor.first[t]:
+        sincos_into(current[2], sine, cosine)
     if kind == RANGE:
         for i in range(n):
             gross[i] = sensor.outlier_weight[j]
     z = sensor.range[k] if kind == RANGE else (sensor.bearing[k] if kind == BEARING else sensor.size[k])
     if math.isnan(z):
         return False
-    sine, cosine = scratch[0], scratch[1]
-    sincos_into(current[2], sine, cosine)
+    ahead, aside, deviation, share, draft = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
     for i in range(n):
         dx, dy = sensor.position[j, 0] - current[0, i], sensor.position[j, 1] - current[1, i]
-        ahead, aside = dx * cosine[i] + dy * sine[i] - mount_x, dy * cosine[i] - dx * sine[i] - mount_y
-        # Residual and reading as standard deviations and as a share of what a gross error may read.
-        if kind == RANGE:
-            std, share, outlier = sensor.range_std[j], z / sensor.max_range, 1.0 / sensor.max_range
-            expected = sensor.range_scale[j] * math.sqrt(ahead * ahead + aside * aside) + sensor.range_bias[j]
-            residual = z - expected
-        elif kind == BEARING:
-            std, outlier = sensor.bearing_std[j], 0.5 / math.pi
-            residual = z - sensor.bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)
+        ahead[i] = dx * cosine[i] + dy * sine[i] - mount_x
+        aside[i] = dy * cosine[i] - dx * sine[i] - mount_y
+    # How far the reading lies below what was expected, in standard deviations, and as a share of what a gross error may
+    # read.
+    if kind == RANGE:
+        outlier, inverse_std = 1.0 / sensor.max_range, 1.0 / sensor.range_std[j]
+        constant = math.log(inverse_std) - _HALF_LOG_2PI
+        for i in range(n):
+            distance = math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
+            deviation[i] = (sensor.range_scale[j] * distance + sensor.range_bias[j] - z) * inverse_std
+            share[i] = z * outlier
+    elif kind == BEARING:
+        outlier, inverse_std = 0.5 / math.pi, 1.0 / sensor.bearing_std[j]
+        constant = math.log(inverse_std) - _HALF_LOG_2PI
+        atan2_into(aside, ahead, draft)
+        for i in range(n):
+            residual = z - sensor.bearing_bias[j] + mount_yaw - draft[i]
             residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
-            share = 0.5 + residual * outlier
-        else:
-            ideal = sensor.size_constant[j] / (ahead * ahead + aside * aside)
-            std, outlier = sensor.size_std[j] * ideal, 1.0 / sensor.size_constant[j]
-            residual, share = z - ideal, z * outlier
-        r = residual / std
-        low[i] = 0.5 * math.erfc(-r * math.sqrt(0.5))
-        logp[i] = -0.5 * r * r - math.log(std) - _HALF_LOG_2PI
-        if gross[i] > 0.0:
-            low[i] = (1.0 - gross[i]) * low[i] + gross[i] * min(max(share, 0.0), 1.0)
+            deviation[i] = -residual * inverse_std
+            share[i] = 0.5 + residual * outlier
+    else:
+        outlier, inverse_std = 1.0 / sensor.size_constant[j], 1.0 / sensor.size_std[j]
+        constant = math.log(inverse_std * outlier) - _HALF_LOG_2PI
+        for i in range(n):
+            share[i] = z * outlier
+            draft[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
+            deviation[i] = (1.0 - share[i] * draft[i]) * inverse_std
+        log_into(draft, ahead)
+    upper_tail_into(deviation, low)
+    for i in range(n):
+        logp[i] = constant - 0.5 * deviation[i] * deviation[i] + (ahead[i] if kind == SIZE else 0.0)
+    if sensor.outlier_weight[j] > 0.0:
+        exp_into(logp, 0.0, draft)
+        for i in range(n):
             wild = gross[i] * outlier
-            density = (1.0 - gross[i]) * math.exp(logp[i]) + wild
-            logp[i] = math.log(density)
-            gross[i] = wild / density
+            draft[i] = (1.0 - gross[i]) * draft[i] + wild
+            low[i] = (1.0 - gross[i]) * low[i] + gross[i] * min(max(share[i], 0.0), 1.0)
+            gross[i] = wild / draft[i]
+        log_into(draft, logp)
+    for i in range(n):
         high[i] = low[i]
     return True
 

@@ -20,7 +20,7 @@ from pmcl.filtering.kernels.contract import (
 )
 from pmcl.filtering.kernels.geometry import add_information
 from pmcl.filtering.kernels.rays import inverse_lengths, middle_and_reach, wall_numerators
-from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into
+from pmcl.filtering.kernels.vector_math import exp_into, log_into, sincos_into, upper_tail_into
 from pmcl.models.tables import RangeBeams
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -96,10 +96,15 @@ def log_normal_tail(x):
 
 
 @kernel
+def _same_origin(beam_pose, one, other):
+    return beam_pose[one, 0] == beam_pose[other, 0] and beam_pose[one, 1] == beam_pose[other, 1]
+
+
+@kernel
 def one_origin(beam_pose):
     """Return whether several beams leave the robot, all from one point."""
     for beam in range(1, beam_pose.shape[0]):
-        if beam_pose[beam, 0] != beam_pose[0, 0] or beam_pose[beam, 1] != beam_pose[0, 1]:
+        if not _same_origin(beam_pose, beam, 0):
             return False
     return beam_pose.shape[0] > 1
 
@@ -186,31 +191,35 @@ def _reading_slots(sensor, t):
 @one_reading.register(RangeBeams, allocates=False)
 def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
     beam = slot - t * sensor.reading.shape[1]
-    sine, cosine = memory[0], memory[1]
+    sine, cosine, last = memory[0], memory[1], memory[2]
     if beam == 0:
         sincos_into(current[2], sine, cosine)
+        last[0] = -1.0
     z = sensor.reading[t, beam]
     if math.isnan(z):
         return False
-    cast_one_beam(sensor, beam, current, sine, cosine, True, scratch)
+    # What was computed of the origins for the beam before serves those that leave from the same point.
+    before = int(last[0])
+    moved = before < 0 or not _same_origin(sensor.beam_pose, before, beam)
+    last[0] = float(beam)
+    cast_one_beam(sensor, beam, current, sine, cosine, moved, scratch)
     best, work = scratch[2], scratch[7]
     bias, scale, std = sensor.bias[beam], sensor.scale[beam], sensor.std[beam]
     share, max_range = sensor.outlier_weight[beam], sensor.max_range
     for i in range(logp.size):
         logp[i] = 0.0
     beam_logpdf(z, best, bias, scale, std, share, max_range, logp, work, scratch[0])
-    shrink, far = math.sqrt(0.5) / std, _FAR * max_range
+    shrink, far = 1.0 / std, _FAR * max_range
+    # Tails of a reading at the lower end are those of a reading of 0, at the upper end of one of max_range.
+    reached = min(max(z, 0.0), max_range)
     for i in range(logp.size):
-        expected = min(scale / best[i] + bias, far)
-        if z <= 0.0:
-            low[i] = 0.0
-            high[i] = (1.0 - share) * 0.5 * math.erfc(expected * shrink)
-        elif z >= max_range:
-            low[i] = share + (1.0 - share) * 0.5 * math.erfc((expected - max_range) * shrink)
-            high[i] = 1.0
-        else:
-            low[i] = share * z / max_range + (1.0 - share) * 0.5 * math.erfc((expected - z) * shrink)
-            high[i] = low[i]
+        work[i] = (min(scale / best[i] + bias, far) - reached) * shrink
+    upper_tail_into(work, low)
+    outside = 0.0 if z <= 0.0 else share * reached / max_range
+    for i in range(logp.size):
+        below = outside + (1.0 - share) * low[i]
+        low[i] = 0.0 if z <= 0.0 else below
+        high[i] = 1.0 if z >= max_range else below
     return True
 
 

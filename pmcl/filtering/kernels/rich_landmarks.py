@@ -17,7 +17,14 @@ from pmcl.filtering.kernels.contract import (
     scratch_rows,
 )
 from pmcl.filtering.kernels.geometry import BEARING, RANGE, SIZE, add_information
-from pmcl.filtering.kernels.vector_math import any_nonzero, atan2_into, exp_into, log_into, sincos_into
+from pmcl.filtering.kernels.vector_math import (
+    any_nonzero,
+    atan2_into,
+    exp_into,
+    log_into,
+    sincos_into,
+    upper_tail_into,
+)
 from pmcl.models.rich_tables import RichLandmarks
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -365,6 +372,27 @@ def _wild_density(sensor, kind, j):
     return 0.5 / math.pi if kind == BEARING else 1.0 / sensor.size_constant[j]
 
 
+@kernel
+def _sure_reading(sensor, kind, k, last, logp, low, high, scratch):
+    """Foresee a reading that is of its own landmark beyond doubt, given sighting `last` of it."""
+    j, states_before = sensor.landmark[k], scratch[_BEFORE:]
+    ahead, aside, distance, angle = scratch[_AHEAD], scratch[_ASIDE], scratch[_DISTANCE], scratch[_ANGLE]
+    deviation, spread, draft = scratch[_TARGET], scratch[_OTHERS], scratch[_DRAFT]
+    _look(sensor, j, logp.size, scratch)
+    if kind == BEARING:
+        atan2_into(aside, ahead, angle)
+    for i in range(logp.size):
+        residual, std = _channel(sensor, kind, k, j, ahead[i], aside[i], distance[i], angle[i])
+        if last >= 0:
+            residual, std = _given_last(sensor, kind, last, residual, std, states_before, i)
+        deviation[i], spread[i] = -residual / std, std
+    upper_tail_into(deviation, low)
+    log_into(spread, draft)
+    for i in range(logp.size):
+        logp[i] = -0.5 * deviation[i] * deviation[i] - draft[i] - _HALF_LOG_2PI
+        high[i] = low[i]
+
+
 @one_reading.register(RichLandmarks, allocates=False)
 def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
     k, kind = slot // 3, slot % 3
@@ -378,6 +406,9 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     if last >= 0:
         _place(sensor, t, 0, False, previous, previous, states_before)
         _look(sensor, named, n, states_before)
+    if wild == 0.0 and (misread == 0.0 or n_landmarks == 1):
+        _sure_reading(sensor, kind, k, last, logp, low, high, scratch)
+        return True
     # What the sighting is of (its landmark, another one, nothing) weighed by the readings of it that came before.
     before, now, below = memory[0], memory[1], memory[2]
     for i in range(n):
@@ -389,9 +420,10 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
         if weight == 0.0:
             continue
         _look(sensor, j, n, scratch)
+        atan2_into(scratch[_ASIDE], scratch[_AHEAD], scratch[_ANGLE])
         for i in range(n):
             ahead, aside, distance = scratch[_AHEAD, i], scratch[_ASIDE, i], scratch[_DISTANCE, i]
-            angle, share = math.atan2(aside, ahead), (1.0 - wild) * weight
+            angle, share = scratch[_ANGLE, i], (1.0 - wild) * weight
             for earlier in range(kind):
                 if not math.isnan(_reading_of(sensor, earlier, k)):
                     residual, std = _channel(sensor, earlier, k, j, ahead, aside, distance, angle)
@@ -414,14 +446,13 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
             share *= _wild_density(sensor, earlier, named)
     density = _wild_density(sensor, kind, named)
     for i in range(n):
-        if misread > 0.0 or wild > 0.0:
-            place = 0.5 + low[i] * density if kind == BEARING else z * density
-            total = before[i] + share
-            joint = now[i] + share * density
-            # Where all densities vanish there is nothing to weigh: the reading is taken to be of its own landmark.
-            if joint > 0.0 and total > 0.0:
-                logp[i] = math.log(joint / total)
-                high[i] = (below[i] + share * min(max(place, 0.0), 1.0)) / total
+        place = 0.5 + low[i] * density if kind == BEARING else z * density
+        total = before[i] + share
+        joint = now[i] + share * density
+        # Where all densities vanish there is nothing to weigh: the reading is taken to be of its own landmark.
+        if joint > 0.0 and total > 0.0:
+            logp[i] = math.log(joint / total)
+            high[i] = (below[i] + share * min(max(place, 0.0), 1.0)) / total
         low[i] = high[i]
     return True
 

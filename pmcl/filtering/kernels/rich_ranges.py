@@ -33,7 +33,7 @@ from pmcl.filtering.kernels.student import (
     student_logpdf,
     upper_tail,
 )
-from pmcl.filtering.kernels.vector_math import any_nonzero, exp_into, log_into, sincos_into
+from pmcl.filtering.kernels.vector_math import any_nonzero, exp_into, log_into, sincos_into, upper_tail_into
 from pmcl.models.rich_tables import RichRangeBeams
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -172,19 +172,20 @@ def _expect(sensor, beam, first, stride, n, previous_inverse, own, inverse):
 
 
 @kernel
-def _obstacle_length(sensor, k, beam, x, y, sine, cosine):
-    """Return how far a beam runs from a pose to obstacle `k`; inf where it passes by or the robot stands in it."""
+def _obstacle_lengths(sensor, k, beam, pose, sine, cosine, lengths):
+    """Write how far a beam runs from each pose to obstacle `k`; inf where it passes by or the robot stands in it."""
     mount_x, mount_y, yaw = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1], sensor.beam_pose[beam, 2]
+    x, y, radius = sensor.obstacles[k, 0], sensor.obstacles[k, 1], sensor.obstacles[k, 2]
     c, s = math.cos(yaw), math.sin(yaw)
-    dx, dy = cosine * c - sine * s, sine * c + cosine * s
-    away_x = sensor.obstacles[k, 0] - (x + mount_x * cosine - mount_y * sine)
-    away_y = sensor.obstacles[k, 1] - (y + mount_x * sine + mount_y * cosine)
-    along = away_x * dx + away_y * dy
-    aside = away_x * dy - away_y * dx
-    radius = sensor.obstacles[k, 2]
-    inner = radius * radius - aside * aside
-    length = along - math.sqrt(max(inner, 0.0))
-    return length if inner > 0.0 and length > 0.0 else np.inf
+    for i in range(lengths.size):
+        dx, dy = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
+        away_x = x - (pose[0, i] + mount_x * cosine[i] - mount_y * sine[i])
+        away_y = y - (pose[1, i] + mount_x * sine[i] + mount_y * cosine[i])
+        along = away_x * dx + away_y * dy
+        aside = away_x * dy - away_y * dx
+        inner = radius * radius - aside * aside
+        length = along - math.sqrt(max(inner, 0.0))
+        lengths[i] = length if (inner > 0.0) & (length > 0.0) else np.inf
 
 
 @kernel
@@ -250,11 +251,12 @@ def _mix(sensor, beam, first, stride, n, pose, sine, cosine_heading, own, invers
         weight = sensor.obstacles[k, 3]
         if weight == 0.0:
             continue
+        lengths = own[_SUM]
+        _obstacle_lengths(sensor, k, beam, pose, sine, cosine_heading, lengths)
         for i in range(n):
-            length = _obstacle_length(sensor, k, beam, pose[0, i], pose[1, i], sine[i], cosine_heading[i])
-            if length * inverses[beam, i] < 1.0:
+            if lengths[i] * inverses[beam, i] < 1.0:
                 shift = sensor.bias[beam] + sensor.bias_at[first + stride * i, beam]
-                centre = min(sensor.scale[beam] * length + shift, far)
+                centre = min(sensor.scale[beam] * lengths[i] + shift, far)
                 density = math.exp(_one_echo(sensor, z[i], centre, std[i]))
                 keep[i] *= 1.0 - weight
                 rest[i] = (1.0 - weight) * rest[i] + weight * density
@@ -410,6 +412,75 @@ def _echo_below(sensor, z, centre, std):
     return value, value
 
 
+@kernel
+def _echoes_below(sensor, z, centre, std, draft, low, high):
+    """Write the probabilities of echoes that read less, and less or the same; `draft` is work space."""
+    n, longest = low.size, sensor.max_range
+    if sensor.tail > 0.0 or sensor.step > 0.0:
+        for i in range(n):
+            low[i], high[i] = _echo_below(sensor, z, centre[i], std[i])
+        return
+    reached = min(max(z, 0.0), longest)
+    for i in range(n):
+        draft[i] = (centre[i] - reached) / std[i]
+    upper_tail_into(draft, low)
+    for i in range(n):
+        high[i] = 1.0 if z >= longest else low[i]
+        low[i] = 0.0 if z <= 0.0 else low[i]
+
+
+@kernel
+def _mix_below(sensor, beam, t, z, low, high, scratch):
+    """Mix everything but its own echo into the probabilities that a beam reads less, and less or the same."""
+    n, n_beams, begin = low.size, sensor.reading.shape[1], _CASTING + sensor.wall_start.size
+    own = scratch[begin : begin + _OWN]
+    inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
+    cosine, expected, std = scratch[begin + _OWN + n_beams + beam], own[_EXPECTED], own[_STD]
+    longest, far = sensor.max_range, _FAR * sensor.max_range
+    beyond = z >= longest
+    share = min(max(z / longest, 0.0), 1.0)
+    shift = sensor.bias[beam] + sensor.bias_at[t, beam]
+    talk = sensor.talk_weight[beam]
+    if talk > 0.0:
+        centre, less, as_much = own[_SUM], own[_KEEP], own[_REST]
+        for i in range(n):
+            low[i], high[i] = (1.0 - talk) * low[i], (1.0 - talk) * high[i]
+        for side in range(2):
+            inverse = inverses[sensor.neighbours[beam, side]]
+            for i in range(n):
+                centre[i] = min(sensor.scale[beam] / inverse[i] + shift, far)
+            _echoes_below(sensor, z, centre, std, own[_DRAFT], less, as_much)
+            for i in range(n):
+                low[i], high[i] = low[i] + 0.5 * talk * less[i], high[i] + 0.5 * talk * as_much[i]
+    for k in range(sensor.obstacles.shape[0]):
+        weight = sensor.obstacles[k, 3]
+        if weight == 0.0:
+            continue
+        lengths = own[_SUM]
+        _obstacle_lengths(sensor, k, beam, own[_POSE : _POSE + 3], scratch[5], scratch[6], lengths)
+        for i in range(n):
+            if lengths[i] * inverses[beam, i] < 1.0:
+                below, upto = _echo_below(sensor, z, min(sensor.scale[beam] * lengths[i] + shift, far), std[i])
+                low[i], high[i] = low[i] + weight * (below - low[i]), high[i] + weight * (upto - high[i])
+    if sensor.specular_weight[beam] != 0.0:
+        for i in range(n):
+            weight, begins = _reflected(sensor, beam, cosine[i]), max(expected[i], 0.0)
+            below = min(max((z - begins) / (longest - begins), 0.0), 1.0) if begins < longest else 0.0
+            below = 0.0 if longest - begins <= _LEAST_DETOUR * longest else below
+            low[i] += weight * (below - low[i])
+            high[i] += weight * ((1.0 if beyond else below) - high[i])
+    weight = sensor.short_weight[beam]
+    if weight != 0.0:
+        for i in range(n):
+            room = max(min(expected[i], longest), _LEAST_ROOM)
+            below = math.expm1(-min(max(z, 0.0), room) / sensor.short_length) / math.expm1(-room / sensor.short_length)
+            low[i], high[i] = low[i] + weight * (below - low[i]), high[i] + weight * (below - high[i])
+    nothing, wild = sensor.no_echo_weight[beam], sensor.outlier_weight[beam]
+    for i in range(n):
+        below, upto = (1.0 - nothing) * low[i], (1.0 - nothing) * high[i] + (nothing if beyond else 0.0)
+        low[i], high[i] = below + wild * (share - below), upto + wild * (share - upto)
+
+
 @one_reading.register(RichRangeBeams, allocates=False)
 def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
     beam = slot - t * sensor.reading.shape[1]
@@ -421,46 +492,11 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     for i in range(logp.size):
         logp[i] = 0.0
     _add_beam(sensor, beam, t, 0, logp, scratch)
-    n_beams, begin = sensor.reading.shape[1], _CASTING + sensor.wall_start.size
+    begin = _CASTING + sensor.wall_start.size
     own = scratch[begin : begin + _OWN]
-    inverses = scratch[begin + _OWN : begin + _OWN + n_beams]
-    cosine = scratch[begin + _OWN + n_beams + beam]
-    longest, far = sensor.max_range, _FAR * sensor.max_range
-    beyond = z >= longest
-    share = min(max(z / longest, 0.0), 1.0)
-    shift = sensor.bias[beam] + sensor.bias_at[t, beam]
-    for i in range(logp.size):
-        std, expected = own[_STD, i], own[_EXPECTED, i]
-        below, upto = _echo_below(sensor, z, own[_CENTRE, i], own[_WIDTH, i])
-        if sensor.talk_weight[beam] > 0.0:
-            half = 0.5 * sensor.talk_weight[beam]
-            below, upto = (1.0 - 2.0 * half) * below, (1.0 - 2.0 * half) * upto
-            for side in range(2):
-                centre = min(sensor.scale[beam] / inverses[sensor.neighbours[beam, side], i] + shift, far)
-                less, as_much = _echo_below(sensor, z, centre, std)
-                below, upto = below + half * less, upto + half * as_much
-        for k in range(sensor.obstacles.shape[0]):
-            length = _obstacle_length(
-                sensor, k, beam, own[_POSE, i], own[_POSE + 1, i], scratch[5, i], scratch[6, i]
-            )  # fmt: skip
-            if length * inverses[beam, i] < 1.0:
-                weight = sensor.obstacles[k, 3]
-                less, as_much = _echo_below(sensor, z, min(sensor.scale[beam] * length + shift, far), std)
-                below, upto = below + weight * (less - below), upto + weight * (as_much - upto)
-        if sensor.specular_weight[beam] != 0.0:
-            weight, begins = _reflected(sensor, beam, cosine[i]), max(expected, 0.0)
-            less = min(max((z - begins) / (longest - begins), 0.0), 1.0) if begins < longest else 0.0
-            less = 0.0 if longest - begins <= _LEAST_DETOUR * longest else less
-            below, upto = below + weight * (less - below), upto + weight * ((1.0 if beyond else less) - upto)
-        weight = sensor.short_weight[beam]
-        if weight != 0.0:
-            room = max(min(expected, longest), _LEAST_ROOM)
-            less = math.expm1(-min(max(z, 0.0), room) / sensor.short_length) / math.expm1(-room / sensor.short_length)
-            below, upto = below + weight * (less - below), upto + weight * (less - upto)
-        weight = sensor.no_echo_weight[beam]
-        below, upto = (1.0 - weight) * below, (1.0 - weight) * upto + (weight if beyond else 0.0)
-        weight = sensor.outlier_weight[beam]
-        low[i], high[i] = below + weight * (share - below), upto + weight * (share - upto)
+    _echoes_below(sensor, z, own[_CENTRE], own[_WIDTH], own[_DRAFT], low, high)
+    if _is_mixture(sensor, beam):
+        _mix_below(sensor, beam, t, z, low, high, scratch)
     return True
 
 
