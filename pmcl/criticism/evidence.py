@@ -99,7 +99,7 @@ def gather(
     Returns
     -------
     Evidence
-        Cost at T=600, 8 beams, n=500, 15 paths, 50 candidates: about 0.3 s.
+        Cost at T=600, 8 beams, n=500, 15 paths, 50 candidates: 0.1 to 0.2 s.
 
     Raises
     ------

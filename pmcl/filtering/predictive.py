@@ -140,7 +140,7 @@ def predict_readings(
     Returns
     -------
     Predictions
-        Cost: about three times that of a plain pass.
+        Cost: about twice that of a plain pass.
 
     Raises
     ------
