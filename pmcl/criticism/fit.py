@@ -22,7 +22,7 @@ from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, Transport, linearised_at
 
-__all__ = ["BRIEF", "LONG", "THOROUGH", "Effort", "Fit", "quick_fit"]
+__all__ = ["BRIEF", "GLANCE", "LONG", "THOROUGH", "Effort", "Fit", "quick_fit"]
 
 Float = NDArray[np.float64]
 
@@ -36,12 +36,27 @@ _DRIFT, _CONTINUED = 1.3, 3
 
 
 class Effort(NamedTuple):
-    """Lengths of a short chain: sweeps by Gibbs steps alone, rounds of tuning, draws that are kept; and particles."""
+    """How much is done for a fit.
+
+    Attributes
+    ----------
+    settling : int
+        Sweeps by Gibbs steps alone,
+    rounds : tuple of int
+        sweeps of each round of tuning,
+    draws : int
+        and sweeps that are kept.
+    particles : int
+        Of a sweep.
+    passes : int
+        Of the filter that scores the rows of the log afterwards.
+    """
 
     settling: int
     rounds: tuple[int, ...]
     draws: int
     particles: int
+    passes: int = 2
 
 
 THOROUGH = Effort(12, (30, 40, 60), 150, 25)
@@ -49,6 +64,8 @@ LONG = THOROUGH._replace(draws=300)
 """For intervals: the standard deviation of a chain of 150 may come out at half of what it is."""
 BRIEF = Effort(8, (15, 20, 30), 60, 16)
 """Enough to compare models: an estimate half a standard deviation off costs an eighth of a nat."""
+GLANCE = Effort(6, (12,), 15, 16, passes=1)
+"""Enough to see which models are far behind others."""
 
 
 @dataclass(frozen=True)

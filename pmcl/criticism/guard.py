@@ -53,12 +53,13 @@ def lost_at(made: Predictions, n_steps: int) -> int | None:
 def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed: int) -> tuple[int, str]:
     """Check that a filter follows the robot, by a second one of four times as many particles and another seed.
 
-    Where the two do not agree, a third filter, as large as the second, must agree with that one.
+    Where the two do not agree, two filters of twice as many particles may do; else a third filter, as large as the
+    second, must agree with that one.
 
     Returns
     -------
     particles : int
-        The number to use: that given, or four times as many where only these follow.
+        The number to use: that given, or twice or four times as many where only these follow.
     note : str
         What was changed and why; empty when nothing was.
 
@@ -77,11 +78,18 @@ def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed:
             return 0, np.full(n_steps, -np.inf)
         return lost_at(made, n_steps), made.filtered.log_increments
 
-    lost, small = followed(0, particles)
     lost_again, large = followed(1, 4 * particles)
-    if lost is None and lost_again is None and _apart(small, large) is None:
-        return particles, ""
+
+    def agrees(k: int, n: int) -> bool:
+        lost, small = followed(k, n)
+        return lost is None and _apart(small, large) is None
+
+    enough = f"{particles} particles lose the robot for a while; {{}} are used"
     if lost_again is None:
+        if agrees(0, particles):
+            return particles, ""
+        if all(agrees(k, 2 * particles) for k in (3, 4)):
+            return 2 * particles, enough.format(2 * particles)
         lost_again, other = followed(2, 4 * particles)
         lost_again = _apart(large, other, both_ways=True) if lost_again is None else lost_again
     if lost_again is not None:
@@ -89,7 +97,7 @@ def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed:
             f"{log.where}: the filter loses the robot at t={log.times[lost_again]:g} s; "
             "restart with a wider start belief or more particles"
         )
-    return 4 * particles, f"{particles} particles lose the robot for a while; {4 * particles} are used"
+    return 4 * particles, enough.format(4 * particles)
 
 
 def _apart(small: Float, large: Float, both_ways: bool = False) -> int | None:

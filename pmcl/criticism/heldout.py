@@ -11,7 +11,7 @@ from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.filtering.predictive import Predictions
 from pmcl.models.robot_model import BoundModel
 
-__all__ = ["Gain", "Gap", "gap_of", "paired_gain", "row_scores"]
+__all__ = ["Gain", "Gap", "block_sums", "gap_of", "paired_gain", "row_scores"]
 
 Float = NDArray[np.float64]
 
@@ -79,10 +79,15 @@ def paired_gain(new: Float, old: Float, rows: slice) -> Gain:
         Rows to count.
     """
     difference = (new - old)[rows]
-    count = max(2, difference.size // _BLOCK)
-    sums = np.array([block.sum() for block in np.array_split(difference, count)])
+    sums = block_sums(difference)
     # Resampling blocks of equal weight has this standard error; there is no need to do it.
-    return Gain(float(difference.sum()), float(np.sqrt(count) * sums.std(ddof=1)))
+    return Gain(float(difference.sum()), float(np.sqrt(sums.size) * sums.std(ddof=1)))
+
+
+def block_sums(rows: Float) -> Float:
+    """Return the sums over blocks of 15 rows, at least two: so far apart rows are nearly independent."""
+    count = max(2, rows.size // _BLOCK)
+    return np.array([block.sum() for block in np.array_split(rows, count)])
 
 
 def gap_of(made: Predictions, pit: Float, rows: slice) -> Gap:

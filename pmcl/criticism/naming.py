@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from pmcl.criticism.heldout import paired_gain
+from pmcl.criticism.heldout import block_sums, paired_gain
 from pmcl.criticism.scores import Direction, probe_values
 from pmcl.criticism.trials import PRACTICAL, Trial
 from pmcl.errors import PmclError
@@ -18,8 +19,9 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "choose", "confirmed_without_score", "leaders", "of_a_carrier", "of_the_sensors", "of_the_whole_robot", "scan",
-    "shortlist", "twins_of", "untried", "untried_twins", "with_rules", "worth_it",
+    "choose", "confirmed_without_score", "contenders", "contenders_when_lost", "leaders", "of_a_carrier",
+    "of_the_sensors", "of_the_whole_robot", "scan", "shortlist", "twins_of", "untried", "untried_twins",
+    "with_rules", "worth_it",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -31,8 +33,12 @@ _MORE_STRUCTURED, _REMARKABLE = 8, 2.5
 _SCAN_Z, _SCAN_GAIN = 6.0, 30.0
 # Trials that are refitted at length before the choice, and how far behind the first they may be [nat].
 _LEADERS, _BEHIND = 3, 15.0
+# Trials that a glance finds further behind the first than this [nat], and than this share of its gain, are dropped.
+_FAR, _FAR_SHARE = 30.0, 0.5
 # Scores below this are never beyond doubt.
 _CRITICAL = 3.0
+# Where scores mean nothing a sign test over blocks of rows must be as clear as this.
+_BY_CHANCE = 0.01
 # A near twin that gains this share of what the winner gains is named with it.
 _NEARLY_ALL = 0.9
 
@@ -85,13 +91,11 @@ def of_a_carrier(wanted: Sequence[Direction], z: Float, carrier: str) -> list[tu
     return [(wanted[k].effect, float(z[k])) for k in _distinct(wanted, able)]
 
 
-def of_the_sensors(wanted: Sequence[Direction]) -> list[tuple[Effect, float]]:
-    """Return the effects of sensors, of each beam and landmark, as if nothing were known of their scores."""
-    made: list[tuple[Effect, float]] = []
-    for effect in (one.effect for one in wanted if one.effect.carrier not in ("motion", "map")):
-        if not any(_same(effect, one) for one, _ in made):
-            made.append((effect, 0.0))
-    return made
+def of_the_sensors(wanted: Sequence[Direction], z: Float) -> list[tuple[Effect, float]]:
+    """Return the effects of sensors, those of many places only where they are most likely, greatest scores first."""
+    order = [int(k) for k in np.argsort(-np.abs(z))]
+    able = [k for k in order if wanted[k].effect.carrier not in ("motion", "map")]
+    return [(wanted[k].effect, float(z[k])) for k in _distinct(wanted, able)]
 
 
 def untried_twins(
@@ -174,6 +178,30 @@ def scan(
     return gains
 
 
+def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[Trial]:
+    """Return the trials that are worth a longer fit: those that a glance does not find far behind others or rivals.
+
+    Absorbers may gain more than any structured candidate and lose to the best of these all the same: structured ones
+    are compared with each other only. Near twins of the best stay: what the path can take up, a short chain leaves
+    there.
+    """
+
+    def least(among: Sequence[Trial]) -> float:
+        best = max((trial.merit for trial in among), default=0.0)
+        return max(min(best - _FAR, (1.0 - _FAR_SHARE) * best), -_FAR)
+
+    everyone = [*glances, *rivals]
+    structured = [one for one in everyone if one.effect is None or not one.effect.absorber]
+    bounds = {False: least(structured), True: least(everyone)}
+    best = max(everyone, key=lambda one: one.merit, default=None)
+    return [
+        one for one in glances
+        if one.effect is None
+        or one.merit >= bounds[one.effect.absorber]
+        or (best is not None and best.effect is not None and _near_twins(one.effect, best.effect))
+    ]  # fmt: skip
+
+
 def leaders(trials: Sequence[Trial]) -> list[Trial]:
     """Return the trials between which the choice will be made: brief fits may misjudge them by some nats."""
     ranked = sorted(trials, key=lambda trial: -trial.merit)
@@ -246,9 +274,28 @@ def worth_it(best: Trial, critical_z: float) -> bool:
     return best.on_heldout.total > max(PRACTICAL, 2.0 * best.on_heldout.se)
 
 
-def confirmed_without_score(trial: Trial) -> bool:
+def contenders_when_lost(glances: Sequence[Trial], current: Trial) -> list[Trial]:
+    """Return the trials worth a longer fit where the filter is lost: total gains may be chance there.
+
+    Those that gain in most places go on, and the one that gains most.
+    """
+    by_places = sorted(glances, key=lambda trial: (-_gaining(trial, current).sum(), -trial.merit))
+    first = max(glances, key=lambda trial: trial.merit, default=None)
+    return by_places[:_LEADERS] + [one for one in by_places[_LEADERS:] if one is first]
+
+
+def _gaining(trial: Trial, current: Trial) -> NDArray[np.bool_]:
+    return block_sums(trial.rows - current.rows) > 0.0
+
+
+def confirmed_without_score(trial: Trial, current: Trial) -> bool:
     """Return whether both parts of the log speak for a trial whose score means nothing.
 
-    Where a filter is lost some rows gain hundreds of nats: errors of gains are then hardly smaller than gains.
+    Where a filter is lost some rows gain hundreds of nats: errors of gains are then hardly smaller than gains. But what
+    is true of the robot gains nearly everywhere; what only helps a filter over the place where it is lost gains there.
     """
-    return all(gain.total > max(PRACTICAL, gain.se) for gain in (trial.on_fit, trial.on_heldout))
+    gaining = _gaining(trial, current)
+    by_chance = float(stats.binomtest(int(gaining.sum()), gaining.size, alternative="greater").pvalue)
+    return by_chance < _BY_CHANCE and all(
+        gain.total > max(PRACTICAL, gain.se) for gain in (trial.on_fit, trial.on_heldout)
+    )

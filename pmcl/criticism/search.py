@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from pmcl.criticism.alarms import Judgement
 from pmcl.criticism.assemble import found_effect
-from pmcl.criticism.fit import Fit, quick_fit
+from pmcl.criticism.fit import BRIEF, GLANCE, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.formulas import formulas
 from pmcl.criticism.naming import (
     choose,
     confirmed_without_score,
+    contenders,
+    contenders_when_lost,
     leaders,
     of_a_carrier,
     of_the_sensors,
@@ -37,8 +39,8 @@ from pmcl.criticism.passes import (
     split_again,
 )
 from pmcl.criticism.result import FoundEffect, Pass
-from pmcl.criticism.scores import Direction, directions
-from pmcl.criticism.trials import Trial, scored_anew, thoroughly, trial_of_base, try_effect
+from pmcl.criticism.scores import Direction, directions, effect_rows
+from pmcl.criticism.trials import Trial, refitted, scored_anew, trial_of_base, try_effect
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called
 from pmcl.criticism.waves import remarkable_waves
 from pmcl.errors import CriticismError, FilterError
@@ -53,6 +55,8 @@ _LEAST_READINGS = 20
 # A score that is remarkable comes late when this share of it is not in the fit part; evenly spread, 0.77 would be.
 _ALREADY = 0.5
 _FORMULAS = 4
+# Models of a robot that was lost with which the filter is run again.
+_FOLLOWED = 3
 # Formulas compete with a known effect when their score is greater, with an absorber when it is this share of its own;
 # unless their rows run like those of the effect: then they are the effect, in other words.
 _NEARLY = 0.5
@@ -151,16 +155,16 @@ class Search:
         trials = self._tried(current, shortlist(self.wanted, z, scanned))
         best, _ = choose(trials)
         if best is not None and best.effect is not None and best.effect.absorber:
-            trials += self._tried(current, untried(shortlist(self.wanted, z, scanned, more=True), trials))
+            trials += self._tried(current, untried(shortlist(self.wanted, z, scanned, more=True), trials), trials)
             best, _ = choose(trials)
         if best is not None and best.effect is not None:
-            trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials))
+            trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials), trials)
         current, trials = self._beyond_chance(current, self._settled(current, trials), last.judgement.critical_z)
         best, twins = choose(trials)
         if (best is None or not worth_it(best, last.judgement.critical_z)) and (
             last.judgement.p_value <= WORTH_A_FORMULA
         ):
-            trials += self._tried(current, untried(of_the_whole_robot(self.wanted, z), trials))
+            trials += self._tried(current, untried(of_the_whole_robot(self.wanted, z), trials), trials)
             trials = self._settled(current, trials)
             best, twins = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
@@ -170,7 +174,7 @@ class Search:
         if winner is not best and winner.effect is not None:
             # Nothing is called a rule of its own before all that is known of its carrier has been refitted.
             known = of_a_carrier(self.wanted, z, winner.effect.carrier)
-            more = self._settled(current, self._tried(current, untried(known, trials)))
+            more = self._settled(current, self._tried(current, untried(known, trials), [best]), [best])
             confirmed = [trial for trial in more if worth_it(trial, last.judgement.critical_z)]
             best, twins = choose([best, *confirmed, *(trial for trial in trials if trial is not best)])
             assert best is not None
@@ -208,7 +212,8 @@ class Search:
             order = [k for k in order if not any(_alike(evidence.scores[k], row) for row in known)]
         waves = remarkable_waves(self.judged, self.log, last.fit.tables, self.split, self.settings, beyond)
         chosen = [(wanted[k].effect, float(z[k])) for k in order[:_FORMULAS]] + waves.found
-        trials = self._settled(current, self._tried(current, chosen))
+        rivals = [best] if best is not None else []
+        trials = self._settled(current, self._tried(current, chosen, rivals), rivals)
         critical = max(judgement.critical_z, waves.critical_z)
         if best is None or any(trial.merit > best.merit for trial in trials):
             _, trials = self._beyond_chance(current, trials, critical)
@@ -225,8 +230,9 @@ class Search:
         """Look for an effect with which the filter follows a robot that it loses without.
 
         Scores of a lost filter mean nothing, but a trajectory that is updated with the parameters is not lost so
-        easily: all effects of the motion are refitted, and if none helps those of the sensors. Return the best of those
-        that do and all trials, or None. `follow` raises FilterError where a filter does not.
+        easily: all effects of the motion are refitted, and if none helps those of the sensors. Along that trajectory
+        scores still tell which beams and landmarks are the likeliest. Return the best of the effects with which the
+        filter follows, and all trials, or None. `follow` raises FilterError where a filter does not.
         """
         self.wanted = candidate_directions(self.log, fit, self.offered)
         split, seed, particles = self.split, self.settings.seed + 100, self.settings.comparing
@@ -238,17 +244,21 @@ class Search:
         except FilterError:
             return None
         self.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
-        nothing = np.zeros(len(self.wanted))
-        for offered in (of_a_carrier(self.wanted, nothing, "motion"), of_the_sensors(self.wanted)):
-            new = self._settled(current, self._tried(current, offered))
+        scores = effect_rows(fit.tables, self.log, np.ascontiguousarray(fit.path.T[None]), self.wanted)
+        z = scores.sum(axis=1) / np.sqrt((scores**2).sum(axis=1) + np.finfo(float).tiny)
+        z = np.where([one.one_sided for one in self.wanted], np.maximum(z, 0.0), z)
+        for offered in (of_a_carrier(self.wanted, z, "motion"), of_the_sensors(self.wanted, z)):
+            # The scores rank, no more: what they are when the model is right nobody knows.
+            new = self._settled(current, self._tried(current, [(effect, 0.0) for effect, _ in offered], lost=True))
             trials += new
-            for trial in leaders(new):
-                if confirmed_without_score(trial):
-                    try:
-                        follow(quick_fit(trial.model.bind(self.log), seed, theta=trial.fit.theta, path=fit.path))
-                    except FilterError:
-                        continue
-                    return trial, trials
+            confirmed = [trial for trial in new if confirmed_without_score(trial, current)]
+            for trial in sorted(confirmed, key=lambda one: -one.merit)[:_FOLLOWED]:
+                bound = trial.model.bind(self.log)
+                try:
+                    follow(quick_fit(bound, seed, theta=trial.fit.theta, path=fit.path))
+                except FilterError:
+                    continue
+                return trial, trials
         return None
 
     def comes_late(self, last: Pass) -> bool:
@@ -293,26 +303,51 @@ class Search:
         self.settings = before
         return current, trials
 
-    def _tried(self, current: Trial, chosen: list[tuple[Effect, float]]) -> list[Trial]:
-        if chosen:
-            self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in chosen))
-        current = self.fair(current)
+    def _tried(
+        self,
+        current: Trial,
+        chosen: Sequence[tuple[Effect, float]],
+        rivals: Sequence[Trial] = (),
+        lost: bool = False,
+    ) -> list[Trial]:
+        """Refit effects: each at a glance, then those that are not far behind others and `rivals`, in earnest."""
+        if not chosen:
+            return []
+        self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in chosen))
+        current, seed, particles = self.fair(current), self.settings.seed + 100, self.settings.comparing
 
-        def one(k: int) -> Trial | None:
+        def tried(k: int, effort: Effort, particles: int) -> Trial | None:
             effect, z = chosen[k]
-            seed, particles = self.settings.seed + 100, self.settings.comparing
-            return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles)
+            return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles, effort=effort)
 
-        return [trial for trial in mapped(one, len(chosen), self.settings.workers) if trial is not None]
+        def at_a_glance(k: int) -> Trial | None:
+            return tried(k, GLANCE, particles // 2)
 
-    def _settled(self, current: Trial, trials: list[Trial]) -> list[Trial]:
-        """Return the trials, those that lead fitted thoroughly."""
-        first = leaders(trials)
-        current = self.fair(current)
+        def in_earnest(k: int) -> Trial | None:
+            glance = glances[k]
+            if glance is None:
+                return tried(k, BRIEF, particles)
+            if not any(glance is one for one in able):
+                return glance
+            return refitted(glance, current, self.log, self.split, seed=seed, particles=particles, effort=BRIEF)
+
+        alone = len(chosen) + len(rivals) < 2
+        glances: list[Trial | None] = [None] if alone else mapped(at_a_glance, len(chosen), self.settings.workers)
+        seen = [glance for glance in glances if glance is not None]
+        able = contenders_when_lost(seen, current) if lost else contenders(seen, rivals)
+        made: list[Trial | None] = mapped(in_earnest, len(chosen), self.settings.workers)
+        return [trial for trial in made if trial is not None]
+
+    def _settled(self, current: Trial, trials: list[Trial], rivals: Sequence[Trial] = ()) -> list[Trial]:
+        """Return the trials, those that lead fitted thoroughly, where more than one leads."""
+        first = leaders([*trials, *rivals])
+        if len(first) < 2:
+            return trials
+        first = [one for one in first if not one.thorough and not any(one is rival for rival in rivals)]
+        current, seed, particles = self.fair(current), self.settings.seed + 100, self.settings.comparing
 
         def one(k: int) -> Trial:
-            seed, particles = self.settings.seed + 100, self.settings.comparing
-            return thoroughly(first[k], current, self.log, self.split, seed=seed, particles=particles)
+            return refitted(first[k], current, self.log, self.split, seed=seed, particles=particles, effort=THOROUGH)
 
         return _replaced(trials, first, mapped(one, len(first), self.settings.workers))
 

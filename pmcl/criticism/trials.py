@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from pmcl.criticism.fit import BRIEF, THOROUGH, Fit, quick_fit
+from pmcl.criticism.fit import BRIEF, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.heldout import Gain, paired_gain, row_scores
 from pmcl.criticism.scores import probe_values
 from pmcl.errors import PmclError
@@ -18,7 +18,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import RobotModel
 
-__all__ = ["PRACTICAL", "Trial", "scored_anew", "spare_effects", "thoroughly", "trial_of_base", "try_effect"]
+__all__ = ["PRACTICAL", "Trial", "refitted", "scored_anew", "spare_effects", "trial_of_base", "try_effect"]
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
@@ -48,6 +48,8 @@ class Trial:
         Gain over the current model.
     particles : int
         Of the filter that scored the rows.
+    thorough : bool
+        Whether it was fitted at length.
     """
 
     effect: Effect | None
@@ -59,6 +61,7 @@ class Trial:
     on_heldout: Gain
     on_all: Gain
     particles: int = 0
+    thorough: bool = False
 
     @property
     def p_value(self) -> float:
@@ -72,7 +75,15 @@ class Trial:
 
 
 def try_effect(
-    current: Trial, effect: Effect, z: float, log: RobotLog, split: int, *, seed: int, particles: int
+    current: Trial,
+    effect: Effect,
+    z: float,
+    log: RobotLog,
+    split: int,
+    *,
+    seed: int,
+    particles: int,
+    effort: Effort = BRIEF,
 ) -> Trial | None:
     """Refit the current model with one effect more on the fit part, and score the whole log.
 
@@ -86,8 +97,8 @@ def try_effect(
         )
         bound = model.bind(log)
         theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
-        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=BRIEF)
-        rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
+        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=effort)
+        rows = row_scores(bound, fitted.theta, particles=particles, seed=seed, passes=effort.passes)
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
@@ -95,11 +106,21 @@ def try_effect(
     return Trial(effect, model, fitted, rows, z, on_fit, on_heldout, on_all, particles)
 
 
-def thoroughly(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:
-    """Go on with the fit of a trial, and score it anew against the current model; all as for :func:`try_effect`."""
+def refitted(
+    trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int, effort: Effort
+) -> Trial:
+    """Go on with the fit of a trial, and score it anew against the current model; all as for :func:`try_effect`.
+
+    Returns the trial as it was where the filter loses the robot after the longer fit.
+    """
     bound = trial.model.bind(log)
-    fitted = quick_fit(bound.restricted(split), seed, theta=trial.fit.theta, path=trial.fit.path, effort=THOROUGH)
-    return scored_anew(replace(trial, fit=fitted), current, log, split, seed=seed, particles=particles)
+    try:
+        fitted = quick_fit(bound.restricted(split), seed, theta=trial.fit.theta, path=trial.fit.path, effort=effort)
+        longer = replace(trial, fit=fitted, thorough=effort == THOROUGH)
+        return scored_anew(longer, current, log, split, seed=seed, particles=particles)
+    except PmclError as error:
+        _logger.debug("a longer fit with %s fails: %s", trial.model.effects[-1].name, error)
+        return trial
 
 
 def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:
