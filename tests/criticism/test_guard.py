@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pmcl.criticism import guard
 from pmcl.criticism.guard import lost_at, particles_that_follow
 from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
@@ -34,6 +35,26 @@ def test_a_filter_that_follows_is_left_alone(log):
     bound = default_model(log).bind(log)
     theta = np.array([NOISE[name] for name in bound.names])
     assert particles_that_follow(bound, theta, 300, 1) == (300, "")
+
+
+@pytest.mark.parametrize(("needed", "used"), [(300, 300), (600, 600), (1200, 1200), (2400, None)])
+def test_no_more_particles_are_taken_than_follow(log, monkeypatch, needed, used):
+    """Filters with less than some number of particles are made to lose the robot."""
+
+    def predicted(tables, n_steps, n, rng):
+        if n < needed:
+            raise FilterError("lost")
+        return predict_readings(tables, n_steps, 300, rng)
+
+    monkeypatch.setattr(guard, "predict_readings", predicted)
+    bound = default_model(log).bind(log)
+    theta = np.array([NOISE[name] for name in bound.names])
+    if used is None:
+        with pytest.raises(FilterError, match="loses the robot at t=0 s"):
+            particles_that_follow(bound, theta, 300, 1)
+        return
+    note = "" if used == 300 else f"300 particles lose the robot for a while; {used} are used"
+    assert particles_that_follow(bound, theta, 300, 1) == (used, note)
 
 
 def test_a_robot_that_was_carried_away_is_lost_from_then_on(log):

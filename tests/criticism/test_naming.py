@@ -10,6 +10,9 @@ from pmcl.criticism.fit import BRIEF, quick_fit
 from pmcl.criticism.heldout import paired_gain
 from pmcl.criticism.naming import (
     choose,
+    confirmed_without_score,
+    contenders,
+    contenders_when_lost,
     of_a_carrier,
     of_the_sensors,
     of_the_whole_robot,
@@ -121,9 +124,52 @@ def test_effects_of_the_whole_robot_are_those_without_a_place():
     assert {"turn-noise-grows-with-turn", "odometry-arc"} < {effect.name for effect in moving}
     assert "slippery-patch" not in {effect.name for effect in moving}
     assert {effect.carrier for effect in moving} == {"motion"}
-    sensing = [effect for effect, _ in of_the_sensors(wanted)]
-    assert sorted(effect.where["beams"] for effect in sensing if effect.name == "dead-beam") == [(k,) for k in range(8)]
+    z = np.array([9.0 if one.effect.where.get("beams") in {(2,), (6,)} else 1.0 for one in wanted])
+    sensing = [effect for effect, _ in of_the_sensors(wanted, z)]
+    assert sorted(effect.where["beams"] for effect in sensing if effect.name == "dead-beam") == [(2,), (6,)]
     assert not {"motion", "map"} & {effect.carrier for effect in sensing}
+
+
+def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
+    log, base = simulate_landmark_field(60, 1, bearings=True), np.zeros(100)
+
+    def gaining(name, total):
+        return made_trial(name, log, base + total / 50, base)  # half of the rows are the fit part
+
+    def kept(glances, rivals=()):
+        return [trial.effect.name for trial in contenders([gaining(*one) for one in glances], rivals)]
+
+    best, near, behind = ("odometry-arc", 100.0), ("odometry-turn-scale", 60.0), ("landmark-range-bias", 40.0)
+    assert kept([best, near, behind]) == ["odometry-arc", "odometry-turn-scale"]
+    assert kept([near, behind], [gaining(*best)]) == ["odometry-turn-scale"]
+    assert kept([near, behind]) == ["odometry-turn-scale", "landmark-range-bias"]
+    # Less than 30 nats behind is never far, a loss of more than that always is.
+    assert kept([("odometry-arc", 20.0), ("odometry-turn-scale", -5.0)]) == ["odometry-arc", "odometry-turn-scale"]
+    assert kept([("landmark-range-bias", -40.0), ("odometry-turn-scale", -5.0)]) == ["odometry-turn-scale"]
+    # An absorber drops no structured candidate; and near twins stay.
+    assert kept([("heavy-tailed-motion-noise", 400.0), best]) == ["heavy-tailed-motion-noise", "odometry-arc"]
+    assert kept([best, ("heavy-tailed-motion-noise", 20.0)]) == ["odometry-arc"]
+    assert kept([("sensor-yaw", 5.0), ("odometry-side-drift", 100.0)]) == ["sensor-yaw", "odometry-side-drift"]
+
+
+def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere():
+    """The gain of what is only lucky where the robot is lost has a standard error that is no greater than itself."""
+    log, rng = simulate_landmark_field(60, 1, bearings=True), np.random.default_rng(2)
+    base = rng.normal(0.0, 1.0, 600)
+    noise = rng.normal(0.0, 1.0, 600)
+    lucky, true = base + noise, base + noise + 1.0
+    lucky[100] += 300.0
+    lucky[400] += 300.0
+    current = made_trial("odometry-arc", log, base, base)
+    true, lucky = (made_trial("odometry-arc", log, rows, base) for rows in (true, lucky))
+    assert min(lucky.on_fit.total, lucky.on_heldout.total) > 0.9 * max(lucky.on_fit.se, lucky.on_heldout.se)
+    assert lucky.merit > true.merit - 10.0
+    assert not confirmed_without_score(lucky, current)
+    assert confirmed_without_score(true, current)
+    others = [made_trial("odometry-turn-scale", log, base - k, base) for k in (0.1, 0.2, 0.3, 0.4)]
+    assert contenders_when_lost([*others, lucky, true], current) == [true, lucky, others[0]]
+    most = made_trial("odometry-turn-scale", log, np.where(np.arange(600) == 5, 9e9, base - 9.0), base)
+    assert contenders_when_lost([*others, lucky, true, most], current)[-1] is most
 
 
 def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():
