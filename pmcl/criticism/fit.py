@@ -136,6 +136,8 @@ def quick_fit(
     ------
     FilterError
         When no start lets the filter follow the robot.
+    ModelError
+        When `path` is not as long as the log.
     """
     rng = make_rng(np.random.SeedSequence(seed))
     transform = Unconstrained(bound.parameters)
@@ -149,6 +151,8 @@ def quick_fit(
         sweep_path(bound.tables(theta)[0], path, len(path), _START_PARTICLES, rng, "smoothing")
         settings = SweepSettings("smoothing", 10 * particles, 2 * metropolis, 0, 1, 0, _GAIN)
     else:
+        if len(path) != bound.lengths[0]:
+            raise ModelError(f"expected a path of {bound.lengths[0]} rows to start from, but got {len(path)}")
         path = _of_size(path, state_dimension(bound))
         settings = SweepSettings("conditional", particles, 2 * metropolis, 0, 1, 0, _GAIN)
     state = _state(bound, theta, path)

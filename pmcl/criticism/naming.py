@@ -34,7 +34,7 @@ _SCAN_Z, _SCAN_GAIN = 6.0, 30.0
 # Trials that are refitted at length before the choice, and how far behind the first they may be [nat].
 _LEADERS, _BEHIND = 3, 15.0
 # Trials that a glance finds further behind the first than this [nat], and than this share of its gain, are dropped.
-_FAR, _FAR_SHARE = 30.0, 0.5
+_FAR, _FAR_SHARE = 15.0, 0.5
 # Scores below this are never beyond doubt.
 _CRITICAL = 3.0
 # Where scores mean nothing a sign test over blocks of rows must be as clear as this.

@@ -22,9 +22,12 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
-    "Judged", "Settings", "candidate_directions", "criticised", "judged_again", "key_of", "mapped", "split_again",
+    "FINER", "Judged", "Settings", "candidate_directions", "criticised", "in_doubt", "judged_again", "key_of",
+    "looked_again", "mapped", "split_again",
 ]  # fmt: skip
 
+FINER = 4
+"""Comparisons of log scores take so many times the particles of a scored pass."""
 # An alarm whose p-value (all families considered) is above this is looked at again with so many times the simulated
 # logs: thirty know the spread of a number to an eighth only, and a p-value of 1 % may be one of 10 %.
 _BEYOND_DOUBT, _LOOK_AGAIN = 1e-5, 3
@@ -44,7 +47,7 @@ class Settings:
     paths: int
     workers: int
     progress: bool
-    finer: int = 4
+    finer: int = FINER
 
     @property
     def comparing(self) -> int:
@@ -98,30 +101,49 @@ def criticised(
     Returns
     -------
     Judged
-
-    Notes
-    -----
-    What would be an alarm, but not beyond doubt, is judged again with three times as many simulated logs, and that
-    judgement stands; this can only lower the rate of false alarms.
     """
-    arguments: dict[str, Any] = {"particles": settings.particles, "paths": settings.paths}
     # One more simulated log for each parameter: those are projected out of every number.
     count = max(settings.simulations, 12 + 3 * fit.theta.size)
     settings.tell(f"scoring {len(wanted)} directions, and simulating {count} logs")
-    found = gather(fit.bound, fit.theta, wanted, seed=np.random.SeedSequence((settings.seed, 1)), **arguments)
+    seed = np.random.SeedSequence((settings.seed, 1))
+    found = gather(
+        fit.bound, fit.theta, wanted, particles=settings.particles, paths=settings.paths, seed=seed
+    )
+    return _judged(found, _simulated(log, fit, wanted, range(count), settings), wanted, split, settings)
 
-    def simulated(k: int) -> Evidence:
-        rng = make_rng(np.random.SeedSequence((settings.seed, 2, k)))
+
+def in_doubt(judgement: Judgement) -> bool:
+    """Return whether there is an alarm that is not beyond doubt."""
+    return bool(judgement.raised) and judgement.p_value >= _BEYOND_DOUBT
+
+
+def looked_again(
+    before: Judged, log: RobotLog, fit: Fit, wanted: Sequence[Direction], split: int, settings: Settings
+) -> Judged:
+    """Return the same with three times as many simulated logs; see :func:`criticised`.
+
+    What would be an alarm, but not beyond doubt, is judged again in this way, and that judgement stands; this can only
+    lower the rate of false alarms.
+    """
+    count = len(before.null)
+    further = range(count, _LOOK_AGAIN * count)
+    settings.tell(f"p = {before.judgement.p_value:.1e}: simulating {len(further)} logs more, to be sure")
+    null = [*before.null, *_simulated(log, fit, wanted, further, settings)]
+    return _judged(before.evidence, null, wanted, split, settings)
+
+
+def _simulated(
+    log: RobotLog, fit: Fit, wanted: Sequence[Direction], numbers: range, settings: Settings
+) -> list[Evidence]:
+    """Return the evidence of logs that the fitted model simulates; each has a number, from which it follows."""
+
+    def one(k: int) -> Evidence:
+        rng = make_rng(np.random.SeedSequence((settings.seed, 2, numbers[k])))
         bound = fit.bound.model.bind(replicated_log(log, fit.tables, fit.path, rng))
-        return gather(bound, fit.theta, wanted, seed=np.random.SeedSequence((settings.seed, 3, k)), **arguments)
+        seed = np.random.SeedSequence((settings.seed, 3, numbers[k]))
+        return gather(bound, fit.theta, wanted, particles=settings.particles, paths=settings.paths, seed=seed)
 
-    null = mapped(simulated, count, settings.workers)
-    judged = _judged(found, null, wanted, split, settings)
-    if not judged.judgement.raised or judged.judgement.p_value < _BEYOND_DOUBT:
-        return judged
-    settings.tell(f"p = {judged.judgement.p_value:.1e}: simulating {(_LOOK_AGAIN - 1) * count} logs more, to be sure")
-    null += mapped(lambda k: simulated(count + k), (_LOOK_AGAIN - 1) * count, settings.workers)
-    return _judged(found, null, wanted, split, settings)
+    return mapped(one, len(numbers), settings.workers)
 
 
 def judged_again(before: Judged, wanted: Sequence[Direction], split: int, settings: Settings) -> Judged:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,17 +30,20 @@ from pmcl.criticism.naming import (
     worth_it,
 )
 from pmcl.criticism.passes import (
+    FINER,
     Judged,
     Settings,
     candidate_directions,
     criticised,
     judged_again,
+    key_of,
+    looked_again,
     mapped,
     split_again,
 )
 from pmcl.criticism.result import FoundEffect, Pass
 from pmcl.criticism.scores import Direction, directions, effect_rows
-from pmcl.criticism.trials import Trial, refitted, scored_anew, trial_of_base, try_effect
+from pmcl.criticism.trials import PRACTICAL, Trial, refitted, scored_anew, trial_of_base, try_effect
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called
 from pmcl.criticism.waves import remarkable_waves
 from pmcl.errors import CriticismError, FilterError
@@ -61,8 +64,8 @@ _FOLLOWED = 3
 # unless their rows run like those of the effect: then they are the effect, in other words.
 _NEARLY = 0.5
 _THE_SAME = 0.98
-# Particles, over those of a scored pass, for comparing models that held-out rows do not confirm.
-_FINEST = 16
+# So many times the particles compare models that held-out rows do not confirm.
+_FINEST = 4
 
 
 class Outcome(NamedTuple):
@@ -81,6 +84,12 @@ class Outcome(NamedTuple):
     accepted: Trial | None
     found: FoundEffect | None
     trials: list[Trial]
+
+    @property
+    def certain(self) -> bool:
+        """Whether the held-out part by itself confirms the effect, so that a doubtful alarm need not be looked into."""
+        gain = self.accepted.on_heldout if self.accepted is not None else None
+        return gain is not None and gain.significant and gain.total > PRACTICAL
 
 
 class _Rules(NamedTuple):
@@ -122,12 +131,20 @@ class Search:
             )
         self.wanted: tuple[Direction, ...] = ()
         self.judged: Judged
+        # What was refitted since the last pass, by effect and number of particles.
+        self._refitted: dict[tuple[Any, int], Trial] = {}
 
     def criticised(self, fit: Fit) -> Pass:
         """Criticise a fit of the whole log."""
         self.wanted = candidate_directions(self.log, fit, self.offered)
         self.judged = criticised(self.log, fit, self.wanted, self.split, self.settings)
+        self._refitted = {}
         return Pass(fit, self.judged.evidence, self.judged.judgement)
+
+    def looked_again(self, last: Pass) -> Pass:
+        """Judge a pass by more simulated logs; what was refitted stays."""
+        self.judged = looked_again(self.judged, self.log, last.fit, self.wanted, self.split, self.settings)
+        return replace(last, evidence=self.judged.evidence, judgement=self.judged.judgement)
 
     def trial_of(self, last: Pass) -> Trial:
         """Fit the model of a pass on the fit part; gaps are always those of held-out data."""
@@ -275,6 +292,7 @@ class Search:
         """Hold out other rows."""
         self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows")
         self.split = int(share * self.log.n_steps)
+        self._refitted = {}
         self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
 
     def _beyond_chance(self, current: Trial, trials: list[Trial], critical_z: float) -> tuple[Trial, list[Trial]]:
@@ -286,10 +304,10 @@ class Search:
         best, _ = choose(trials)
         if best is None or not best.on_fit.significant or worth_it(best, critical_z):
             return current, trials
-        if self.settings.finer == _FINEST:
+        if self.settings.finer > FINER:
             return current, trials
         self.settings.tell("held-out rows do not confirm it: scoring with more particles")
-        before, self.settings = self.settings, replace(self.settings, finer=_FINEST)
+        before, self.settings = self.settings, replace(self.settings, finer=_FINEST * self.settings.finer)
         same, doubted = self.fair(current), leaders(trials)
 
         def one(k: int) -> Trial:
@@ -311,13 +329,19 @@ class Search:
         lost: bool = False,
     ) -> list[Trial]:
         """Refit effects: each at a glance, then those that are not far behind others and `rivals`, in earnest."""
-        if not chosen:
-            return []
-        self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in chosen))
         current, seed, particles = self.fair(current), self.settings.seed + 100, self.settings.comparing
+        fresh = [one for one in chosen if (key_of(one[0]), particles) not in self._refitted]
+        known = [
+            replace(self._refitted[key_of(effect), particles], effect=effect, z=z) for effect, z in chosen
+            if (key_of(effect), particles) in self._refitted
+        ]  # fmt: skip
+        if not fresh:
+            return known
+        self.settings.tell("refitting " + ", ".join(called(effect) for effect, _ in fresh))
+        rivals = [*rivals, *known]
 
         def tried(k: int, effort: Effort, particles: int) -> Trial | None:
-            effect, z = chosen[k]
+            effect, z = fresh[k]
             return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles, effort=effort)
 
         def at_a_glance(k: int) -> Trial | None:
@@ -331,12 +355,18 @@ class Search:
                 return glance
             return refitted(glance, current, self.log, self.split, seed=seed, particles=particles, effort=BRIEF)
 
-        alone = len(chosen) + len(rivals) < 2
-        glances: list[Trial | None] = [None] if alone else mapped(at_a_glance, len(chosen), self.settings.workers)
+        alone = len(fresh) + len(rivals) < 2
+        glances: list[Trial | None] = [None] if alone else mapped(at_a_glance, len(fresh), self.settings.workers)
         seen = [glance for glance in glances if glance is not None]
         able = contenders_when_lost(seen, current) if lost else contenders(seen, rivals)
-        made: list[Trial | None] = mapped(in_earnest, len(chosen), self.settings.workers)
-        return [trial for trial in made if trial is not None]
+        made = [trial for trial in mapped(in_earnest, len(fresh), self.settings.workers) if trial is not None]
+        self._remember(made, particles)
+        return known + made
+
+    def _remember(self, trials: Sequence[Trial], particles: int) -> None:
+        for trial in trials:
+            assert trial.effect is not None
+            self._refitted[key_of(trial.effect), particles] = trial
 
     def _settled(self, current: Trial, trials: list[Trial], rivals: Sequence[Trial] = ()) -> list[Trial]:
         """Return the trials, those that lead fitted thoroughly, where more than one leads."""
@@ -349,7 +379,9 @@ class Search:
         def one(k: int) -> Trial:
             return refitted(first[k], current, self.log, self.split, seed=seed, particles=particles, effort=THOROUGH)
 
-        return _replaced(trials, first, mapped(one, len(first), self.settings.workers))
+        settled = mapped(one, len(first), self.settings.workers)
+        self._remember(settled, particles)
+        return _replaced(trials, first, settled)
 
 
 def _replaced(trials: list[Trial], old: list[Trial], new: list[Trial]) -> list[Trial]:

@@ -22,9 +22,9 @@ from pmcl.criticism.fit import LONG, Fit, quick_fit
 from pmcl.criticism.guard import particles_that_follow
 from pmcl.criticism.heldout import gap_of
 from pmcl.criticism.naming import twins_of
-from pmcl.criticism.passes import Settings
+from pmcl.criticism.passes import FINER, Settings, in_doubt
 from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
-from pmcl.criticism.search import FIT_SHARE, LATER, Search
+from pmcl.criticism.search import FIT_SHARE, LATER, Outcome, Search
 from pmcl.criticism.trials import Trial, spare_effects
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
@@ -109,8 +109,9 @@ def criticize(
     -----
     A name is chosen on the first 60 % of the rows and must be confirmed by the rest, which alone tells the gap; where
     what disagrees begins too late for that, these are 80 and 20 %. An alarm that is not beyond doubt is judged by three
-    times as many simulated logs. Where the filter of the base model loses the robot, effects of the motion are refitted
-    first: one that lets it follow is added.
+    times as many simulated logs, unless the held-out part confirms a name by more than two standard errors. Where the
+    filter of the base model loses the robot, effects of the motion are refitted first, then of the sensors: one that
+    lets it follow is added.
     """
     settings = Settings(particles, seed, level, simulations, paths, workers or os.cpu_count() or 1, progress)
     log = log.without_truth()
@@ -179,6 +180,9 @@ class _Loop:
             current = self._added(last, trial, trials, f"add {name}: with it the filter follows")
             last = self._refitted(last, current, rounds)
         for number in range(int(recovered is not None), rounds + 1):
+            if in_doubt(last.judgement) and (self.found or number == rounds):
+                last = self.search.looked_again(last)
+                first = first if self.found else last
             alarms = last.judgement.raised
             told = self.search.told(last) if number < rounds else None
             if told is not None:
@@ -193,19 +197,17 @@ class _Loop:
                 break
             self.settings.tell(f"alarm: {alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}")
             current = current or self.search.trial_of(last)
-            outcome = self.search.named(last, current)
-            if outcome.accepted is None and self.search.comes_late(last):
-                self.search.split_at(LATER)
-                late = self.search.trial_of(last)
-                again = self.search.named(last, late)
-                if again.accepted is None:
+            outcome, compared = self._named(last, current)
+            if in_doubt(last.judgement) and not outcome.certain:
+                last = self.search.looked_again(last)
+                first = first if self.found else last
+                if not last.judgement.raised:
+                    self._record(last, current, outcome.trials, "nothing unusual")
+                    break
+                if compared is not current:
                     self.search.split_at(FIT_SHARE)
-                else:
-                    outcome, current = again, late
-            trials = outcome.trials
-            if outcome.accepted is None and last.judgement.p_value <= WORTH_A_FORMULA:
-                outcome = self.search.formula(last, current)
-                trials = trials + outcome.trials
+                outcome, compared = self._named(last, current)
+            current, trials = compared, outcome.trials
             accepted, found = outcome.accepted, outcome.found
             if accepted is None or found is None:
                 self._record(last, current, trials, "nothing known explains it")
@@ -216,12 +218,31 @@ class _Loop:
             last = self._refitted(last, current, number)
         return self._result(first, last, joint, draws)
 
+    def _named(self, last: Pass, current: Trial) -> tuple[Outcome, Trial]:
+        """Look for what explains a pass, in the catalogue and outside; return also what it is compared with."""
+        outcome = self.search.named(last, current)
+        if outcome.accepted is None and self.search.comes_late(last):
+            self.search.split_at(LATER)
+            late = self.search.trial_of(last)
+            again = self.search.named(last, late)
+            if again.accepted is None:
+                self.search.split_at(FIT_SHARE)
+            else:
+                outcome, current = again, late
+        if outcome.accepted is None and last.judgement.p_value <= WORTH_A_FORMULA:
+            trials = outcome.trials
+            outcome = self.search.formula(last, current)
+            outcome = outcome._replace(trials=trials + outcome.trials)
+        return outcome, current
+
     def _follow(self, fit: Fit) -> None:
         """Take as many particles as follow the robot; raise FilterError where none do."""
         particles, note = particles_that_follow(fit.bound, fit.theta, self.settings.particles, self.settings.seed)
         if note:
             self.notes.append(note)
-            self.search.settings = replace(self.settings, particles=particles)
+            # Comparisons cost most of the time then, and are less noisy than those by fewer particles.
+            finer = FINER if particles < 4 * self.settings.particles else FINER // 2
+            self.search.settings = replace(self.settings, particles=particles, finer=finer)
 
     def _added(
         self, last: Pass, accepted: Trial, trials: list[Trial], decision: str, before: Trial | None = None
