@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism.fit import THOROUGH, quick_fit
+from pmcl.errors import ModelError
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.robots.amigobot import simulate_amigobot
@@ -67,3 +68,11 @@ def test_a_component_that_the_path_lacks_starts_at_zero():
     found = quick_fit(bound, 1, theta=theta, path=path, effort=THOROUGH._replace(draws=20))
     assert found.path.shape == (60, 4)
     assert np.ptp(found.path[:, 3]) > 0.0
+
+
+@pytest.mark.parametrize("rows", [60, 180])
+def test_a_path_that_is_not_as_long_as_the_log_is_refused(log, rows):
+    """Kernels would read past the end of the shorter of the two."""
+    bound = default_model(log).bind(log)
+    with pytest.raises(ModelError, match=f"a path of 120 rows to start from, but got {rows}"):
+        quick_fit(bound, 1, theta=bound.prior_mean(), path=np.zeros((rows, 3)))
