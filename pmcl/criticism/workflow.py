@@ -198,9 +198,9 @@ class _Loop:
             self.settings.tell(f"alarm: {alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}")
             current = current or self.search.trial_of(last)
             outcome, compared = self._named(last, current)
-            if in_doubt(last.judgement) and not outcome.certain:
-                last = self.search.looked_again(last)
-                first = first if self.found else last
+            # Of later passes a doubtful alarm was looked at again before.
+            if not self.found and in_doubt(last.judgement) and not outcome.certain:
+                first = last = self.search.looked_again(last)
                 if not last.judgement.raised:
                     self._record(last, current, outcome.trials, "nothing unusual")
                     break
