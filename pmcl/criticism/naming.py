@@ -31,10 +31,15 @@ _BY_SCORE, _BY_SCAN, _ABSORBERS = 4, 2, 2
 _MORE_STRUCTURED, _REMARKABLE = 8, 2.5
 # Evidence of 500 particles has a standard deviation of some 8 nats: a scan sees only what is far larger.
 _SCAN_Z, _SCAN_GAIN = 6.0, 30.0
-# Trials that are refitted at length before the choice, and how far behind the first they may be [nat].
+# Trials that are refitted at length before the choice where they gain something, and how far behind the first they may
+# be [nat].
 _LEADERS, _BEHIND = 3, 15.0
 # Trials that a glance finds further behind the first than this [nat], and than this share of its gain, are dropped.
 _FAR, _FAR_SHARE = 15.0, 0.5
+# A structured candidate that gains less than this share of what an absorber gains at a glance is no rival of it.
+_RIVAL_SHARE = 0.2
+# A glance is some 4 nats off; what is further below nothing than this [nat] hardly ever becomes worth its parameters.
+_HOPE = 1.0
 # Scores below this are never beyond doubt.
 _CRITICAL = 3.0
 # Where scores mean nothing a sign test over blocks of rows must be as clear as this.
@@ -148,7 +153,8 @@ def scan(
     """Run the filter with each candidate at a clear magnitude, to both sides where it has two.
 
     Scores rank what is small; an effect that is large, or that the path absorbs, shows here. Only candidates of the
-    whole robot and those with a remarkable score are tried, and only when some score is large.
+    whole robot and those with a remarkable score are tried, these to the side that it tells, and only when some score
+    is large.
 
     Returns
     -------
@@ -170,10 +176,8 @@ def scan(
     for k, direction in enumerate(wanted):
         if direction.effect.where and abs(z[k]) < _REMARKABLE:
             continue
-        values = [
-            probe_values(direction.effect, side, direction.strength)
-            for side in ((1.0,) if direction.one_sided else (1.0, -1.0))
-        ]
+        sides = (1.0,) if direction.one_sided else (float(np.sign(z[k])),) if abs(z[k]) > _REMARKABLE else (1.0, -1.0)
+        values = [probe_values(direction.effect, side, direction.strength) for side in sides]
         gains[k] = max(evidence(uniform(direction.effect.edit(tables, one, log))) for one in values) - base
     return gains
 
@@ -182,18 +186,20 @@ def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[T
     """Return the trials that are worth a longer fit: those that a glance does not find far behind others or rivals.
 
     Absorbers may gain more than any structured candidate and lose to the best of these all the same: structured ones
-    are compared with each other only. Near twins of the best stay: what the path can take up, a short chain leaves
-    there.
+    are compared with each other, and dropped for an absorber only where that gains many times as much. Near twins of
+    the best stay: what the path can take up, a short chain leaves there.
     """
 
     def least(among: Sequence[Trial]) -> float:
         best = max((trial.merit for trial in among), default=0.0)
-        return max(min(best - _FAR, (1.0 - _FAR_SHARE) * best), -_FAR)
+        return max(min(best - _FAR, (1.0 - _FAR_SHARE) * best), -_HOPE)
 
     everyone = [*glances, *rivals]
     structured = [one for one in everyone if one.effect is None or not one.effect.absorber]
-    bounds = {False: least(structured), True: least(everyone)}
     best = max(everyone, key=lambda one: one.merit, default=None)
+    bounds = {False: least(structured), True: least(everyone)}
+    if best is not None and best.effect is not None and best.effect.absorber and best.merit > 0.0:
+        bounds[False] = max(bounds[False], _RIVAL_SHARE * best.merit)
     return [
         one for one in glances
         if one.effect is None
@@ -205,7 +211,7 @@ def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[T
 def leaders(trials: Sequence[Trial]) -> list[Trial]:
     """Return the trials between which the choice will be made: brief fits may misjudge them by some nats."""
     ranked = sorted(trials, key=lambda trial: -trial.merit)
-    return [trial for trial in ranked[:_LEADERS] if trial.merit > max(0.0, ranked[0].merit - _BEHIND)]
+    return [trial for trial in ranked[:_LEADERS] if trial.merit > max(PRACTICAL, ranked[0].merit - _BEHIND)]
 
 
 def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:

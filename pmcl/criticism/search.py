@@ -64,6 +64,10 @@ _FOLLOWED = 3
 # unless their rows run like those of the effect: then they are the effect, in other words.
 _NEARLY = 0.5
 _THE_SAME = 0.98
+# The best of a hundred candidates gains some 5 nats by chance on a log without an effect, and never this many.
+_NO_CHANCE = 15.0
+# Particles that are enough for a glance.
+_AT_A_GLANCE = 2000
 # So many times the particles compare models that held-out rows do not confirm.
 _FINEST = 4
 
@@ -87,9 +91,14 @@ class Outcome(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether the held-out part by itself confirms the effect, so that a doubtful alarm need not be looked into."""
-        gain = self.accepted.on_heldout if self.accepted is not None else None
-        return gain is not None and gain.significant and gain.total > PRACTICAL
+        """Whether the effect is confirmed so clearly that a doubtful alarm need not be looked into.
+
+        By the held-out part alone; or by it and, clearly, by the whole log, with a gain that none has by chance.
+        """
+        if self.accepted is None or self.accepted.on_heldout.total <= PRACTICAL:
+            return False
+        whole = self.accepted.on_all
+        return self.accepted.on_heldout.significant or (whole.significant and whole.total > _NO_CHANCE)
 
 
 class _Rules(NamedTuple):
@@ -178,9 +187,9 @@ class Search:
             trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials), trials)
         current, trials = self._beyond_chance(current, self._settled(current, trials), last.judgement.critical_z)
         best, twins = choose(trials)
-        if (best is None or not worth_it(best, last.judgement.critical_z)) and (
-            last.judgement.p_value <= WORTH_A_FORMULA
-        ):
+        refused = best is None or not worth_it(best, last.judgement.critical_z)
+        # What comes too late for the fit part is looked for on a longer one, not among all that is left.
+        if refused and last.judgement.p_value <= WORTH_A_FORMULA and not self.comes_late(last):
             trials += self._tried(current, untried(of_the_whole_robot(self.wanted, z), trials), trials)
             trials = self._settled(current, trials)
             best, twins = choose(trials)
@@ -191,7 +200,7 @@ class Search:
         if winner is not best and winner.effect is not None:
             # Nothing is called a rule of its own before all that is known of its carrier has been refitted.
             known = of_a_carrier(self.wanted, z, winner.effect.carrier)
-            more = self._settled(current, self._tried(current, untried(known, trials), [best]), [best])
+            more = self._settled(current, self._tried(current, untried(known, trials), [best, winner]), [best])
             confirmed = [trial for trial in more if worth_it(trial, last.judgement.critical_z)]
             best, twins = choose([best, *confirmed, *(trial for trial in trials if trial is not best)])
             assert best is not None
@@ -345,7 +354,8 @@ class Search:
             return try_effect(current, effect, z, self.log, self.split, seed=seed, particles=particles, effort=effort)
 
         def at_a_glance(k: int) -> Trial | None:
-            return tried(k, GLANCE, particles // 2)
+            # Where a filter needs many particles, its passes take longer than a short fit.
+            return tried(k, GLANCE, min(particles, max(_AT_A_GLANCE, particles // 2)))
 
         def in_earnest(k: int) -> Trial | None:
             glance = glances[k]

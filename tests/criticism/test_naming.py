@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from pmcl.criticism import naming
 from pmcl.criticism.fit import BRIEF, quick_fit
 from pmcl.criticism.heldout import paired_gain
 from pmcl.criticism.naming import (
@@ -16,6 +17,7 @@ from pmcl.criticism.naming import (
     of_a_carrier,
     of_the_sensors,
     of_the_whole_robot,
+    scan,
     untried,
     untried_twins,
     with_rules,
@@ -143,13 +145,39 @@ def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
     assert kept([best, near, behind]) == ["odometry-arc", "odometry-turn-scale"]
     assert kept([near, behind], [gaining(*best)]) == ["odometry-turn-scale"]
     assert kept([near, behind]) == ["odometry-turn-scale", "landmark-range-bias"]
-    # Less than 30 nats behind is never far, a loss of more than that always is.
-    assert kept([("odometry-arc", 20.0), ("odometry-turn-scale", -5.0)]) == ["odometry-arc", "odometry-turn-scale"]
-    assert kept([("landmark-range-bias", -40.0), ("odometry-turn-scale", -5.0)]) == ["odometry-turn-scale"]
-    # An absorber drops no structured candidate; and near twins stay.
+    # Less than 15 nats behind is never far, but what clearly loses is dropped, even where nothing gains.
+    assert kept([("odometry-arc", 12.0), ("landmark-range-bias", 0.5)]) == ["odometry-arc", "landmark-range-bias"]
+    assert kept([("odometry-arc", 12.0), ("landmark-range-bias", -2.0)]) == ["odometry-arc"]
+    assert kept([("landmark-range-bias", -8.0), ("odometry-turn-scale", 0.5)]) == ["odometry-turn-scale"]
+    # An absorber drops no structured candidate that may gain, unless it gains many times as much; and near twins stay.
     assert kept([("heavy-tailed-motion-noise", 400.0), best]) == ["heavy-tailed-motion-noise", "odometry-arc"]
+    assert kept([("heavy-tailed-motion-noise", 800.0), best]) == ["heavy-tailed-motion-noise"]
     assert kept([best, ("heavy-tailed-motion-noise", 20.0)]) == ["odometry-arc"]
     assert kept([("sensor-yaw", 5.0), ("odometry-side-drift", 100.0)]) == ["sensor-yaw", "odometry-side-drift"]
+
+
+def test_a_scan_goes_to_the_side_that_a_remarkable_score_tells(monkeypatch):
+    log = simulate_landmark_field(60, 1, bearings=True)
+    bound, wanted, runs = default_model(log).bind(log), directions(candidates(log)), []
+
+    def counted(*args):
+        runs.append(args)
+        return SimpleNamespace(log_evidence=0.0)
+
+    monkeypatch.setattr(naming, "run_filter", counted)
+    whole = [k for k, one in enumerate(wanted) if not one.effect.where]
+    one_sided = sum(wanted[k].one_sided for k in whole)
+
+    def runs_with(z):
+        runs.clear()
+        gains = scan(bound, bound.prior_mean(), wanted, z, 0, 100)
+        return len(gains), len(runs) - 1  # one of them is the base model's
+
+    assert runs_with(np.zeros(len(wanted))) == (0, -1)
+    assert runs_with(np.full(len(wanted), -7.0)) == (len(wanted), len(wanted))
+    alone = np.zeros(len(wanted))
+    alone[next(k for k, one in enumerate(wanted) if one.effect.where and not one.one_sided)] = 7.0
+    assert runs_with(alone) == (len(whole) + 1, 2 * len(whole) - one_sided + 1)
 
 
 def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere():
