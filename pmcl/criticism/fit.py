@@ -48,20 +48,23 @@ class Effort(NamedTuple):
         and sweeps that are kept.
     particles : int
         Of a sweep.
+    passes : int
+        Of the filter that scores the rows of the log afterwards.
     """
 
     settling: int
     rounds: tuple[int, ...]
     draws: int
     particles: int
+    passes: int = 2
 
 
 THOROUGH = Effort(12, (30, 40, 60), 150, 25)
 LONG = THOROUGH._replace(draws=300)
 """For intervals: the standard deviation of a chain of 150 may come out at half of what it is."""
-BRIEF = Effort(8, (15, 20, 30), 60, 16)
+BRIEF = Effort(6, (12, 24), 60, 16)
 """Enough to compare models: an estimate half a standard deviation off costs an eighth of a nat."""
-GLANCE = Effort(6, (12,), 15, 16)
+GLANCE = Effort(6, (12,), 15, 16, passes=1)
 """Enough to see which models are far behind others."""
 
 

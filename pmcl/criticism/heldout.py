@@ -16,7 +16,6 @@ __all__ = ["Gain", "Gap", "block_sums", "gap_of", "paired_gain", "row_scores"]
 Float = NDArray[np.float64]
 
 _BLOCK = 15
-_PASSES = 2
 
 
 class Gain(NamedTuple):
@@ -49,8 +48,8 @@ class Gap(NamedTuple):
     coverage_90: float
 
 
-def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int) -> Float:
-    """Return the log predictive density of the readings of each row, (T,): mean over two independent passes.
+def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> Float:
+    """Return the log predictive density of the readings of each row, (T,): mean over independent passes.
 
     The filter runs over the whole log, and each row is foreseen from all rows before it; what a fit did not see is
     decided by which rows are summed. A sum of logs of estimates lies below the truth, by half their variance: use some
@@ -64,7 +63,7 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int) ->
     tables, n_steps = bound.tables(theta)[0], bound.lengths[0]
     made = [
         run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
-        for k in range(_PASSES)
+        for k in range(passes)
     ]
     return np.asarray(np.mean(made, axis=0))
 

@@ -31,6 +31,8 @@ _BY_SCORE, _BY_SCAN, _ABSORBERS = 4, 2, 2
 _MORE_STRUCTURED, _REMARKABLE = 8, 2.5
 # Evidence of 500 particles has a standard deviation of some 8 nats: a scan sees only what is far larger.
 _SCAN_Z, _SCAN_GAIN = 6.0, 30.0
+# Most of what is not in the data is far behind after this share of the rows, and is followed no further.
+_SCAN_FIRST = 0.25
 # Trials that are refitted at length before the choice where they gain something, and how far behind the first they may
 # be [nat].
 _LEADERS, _BEHIND = 3, 15.0
@@ -39,7 +41,7 @@ _FAR, _FAR_SHARE = 15.0, 0.5
 # A structured candidate that gains less than this share of what an absorber gains at a glance is no rival of it.
 _RIVAL_SHARE = 0.2
 # A glance is some 4 nats off; what is further below nothing than this [nat] hardly ever becomes worth its parameters.
-_HOPE = 1.0
+_HOPE = 2.0
 # Scores below this are never beyond doubt.
 _CRITICAL = 3.0
 # Where scores mean nothing a sign test over blocks of rows must be as clear as this.
@@ -159,26 +161,32 @@ def scan(
     Returns
     -------
     dict of int to float
-        Gain in log evidence of the fit part [nat] by position of the direction.
+        Gain in log evidence of the fit part [nat] by position of the direction; of its beginning where that is a great
+        loss.
     """
     if np.abs(z).max(initial=0.0) < _SCAN_Z:
         return {}
     log, tables, n_steps = bound.logs[0], bound.tables(theta)[0], bound.lengths[0]
 
-    def evidence(trial: Tables) -> float:
+    def evidence(trial: Tables, rows: int) -> Float:
         rng = make_rng(np.random.SeedSequence((seed, 17)))
         try:
-            return run_filter(trial, n_steps, particles, rng).log_evidence
+            return run_filter(trial, rows, particles, rng).log_increments
         except PmclError:
-            return -np.inf
+            return np.full(rows, -np.inf)
 
-    base, gains = evidence(tables), {}
+    base, few, gains = evidence(tables, n_steps), int(_SCAN_FIRST * n_steps), {}
+
+    def gain(trial: Tables) -> float:
+        first = float(evidence(trial, few).sum()) - float(base[:few].sum())
+        return first if first < -_SCAN_GAIN else float(evidence(trial, n_steps).sum()) - float(base.sum())
+
     for k, direction in enumerate(wanted):
         if direction.effect.where and abs(z[k]) < _REMARKABLE:
             continue
         sides = (1.0,) if direction.one_sided else (float(np.sign(z[k])),) if abs(z[k]) > _REMARKABLE else (1.0, -1.0)
         values = [probe_values(direction.effect, side, direction.strength) for side in sides]
-        gains[k] = max(evidence(uniform(direction.effect.edit(tables, one, log))) for one in values) - base
+        gains[k] = max(gain(uniform(direction.effect.edit(tables, one, log))) for one in values)
     return gains
 
 

@@ -98,7 +98,7 @@ def try_effect(
         bound = model.bind(log)
         theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
         fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=effort)
-        rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
+        rows = row_scores(bound, fitted.theta, particles=particles, seed=seed, passes=effort.passes)
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
