@@ -37,7 +37,7 @@ _SCAN_FIRST = 0.25
 # be [nat].
 _LEADERS, _BEHIND = 3, 15.0
 # Trials that a glance finds further behind the first than this [nat], and than this share of its gain, are dropped.
-_FAR, _FAR_SHARE = 15.0, 0.5
+_FAR, _FAR_SHARE = 15.0, 0.3
 # A structured candidate that gains less than this share of what an absorber gains at a glance is no rival of it.
 _RIVAL_SHARE = 0.2
 # A glance is some 4 nats off; what is further below nothing than this [nat] hardly ever becomes worth its parameters.
@@ -155,8 +155,8 @@ def scan(
     """Run the filter with each candidate at a clear magnitude, to both sides where it has two.
 
     Scores rank what is small; an effect that is large, or that the path absorbs, shows here. Only candidates of the
-    whole robot and those with a remarkable score are tried, these to the side that it tells, and only when some score
-    is large.
+    whole robot and those with a remarkable score are tried, these in their likeliest places and to the side that the
+    score tells, and only when some score is large.
 
     Returns
     -------
@@ -181,8 +181,10 @@ def scan(
         first = float(evidence(trial, few).sum()) - float(base[:few].sum())
         return first if first < -_SCAN_GAIN else float(evidence(trial, n_steps).sum()) - float(base.sum())
 
+    order = [int(k) for k in np.argsort(-np.abs(z))]
+    placed = set(_distinct(wanted, [k for k in order if wanted[k].effect.where and abs(z[k]) > _REMARKABLE]))
     for k, direction in enumerate(wanted):
-        if direction.effect.where and abs(z[k]) < _REMARKABLE:
+        if direction.effect.where and k not in placed:
             continue
         sides = (1.0,) if direction.one_sided else (float(np.sign(z[k])),) if abs(z[k]) > _REMARKABLE else (1.0, -1.0)
         values = [probe_values(direction.effect, side, direction.strength) for side in sides]
@@ -194,8 +196,8 @@ def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[T
     """Return the trials that are worth a longer fit: those that a glance does not find far behind others or rivals.
 
     Absorbers may gain more than any structured candidate and lose to the best of these all the same: structured ones
-    are compared with each other, and dropped for an absorber only where that gains many times as much. Near twins of
-    the best stay: what the path can take up, a short chain leaves there.
+    are compared with each other, and dropped for an absorber only where that gains many times as much. Else near twins
+    of the best stay: what the path can take up, a short chain leaves there.
     """
 
     def least(among: Sequence[Trial]) -> float:
@@ -205,14 +207,15 @@ def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[T
     everyone = [*glances, *rivals]
     structured = [one for one in everyone if one.effect is None or not one.effect.absorber]
     best = max(everyone, key=lambda one: one.merit, default=None)
-    bounds = {False: least(structured), True: least(everyone)}
+    bounds, no_rival = {False: least(structured), True: least(everyone)}, -np.inf
     if best is not None and best.effect is not None and best.effect.absorber and best.merit > 0.0:
-        bounds[False] = max(bounds[False], _RIVAL_SHARE * best.merit)
+        no_rival = _RIVAL_SHARE * best.merit
     return [
         one for one in glances
         if one.effect is None
-        or one.merit >= bounds[one.effect.absorber]
-        or (best is not None and best.effect is not None and _near_twins(one.effect, best.effect))
+        or one.merit >= max(bounds[one.effect.absorber], no_rival)
+        or (best is not None and best.effect is not None and _near_twins(one.effect, best.effect)
+            and one.merit >= no_rival)
     ]  # fmt: skip
 
 

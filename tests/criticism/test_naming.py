@@ -141,7 +141,7 @@ def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
     def kept(glances, rivals=()):
         return [trial.effect.name for trial in contenders([gaining(*one) for one in glances], rivals)]
 
-    best, near, behind = ("odometry-arc", 100.0), ("odometry-turn-scale", 60.0), ("landmark-range-bias", 40.0)
+    best, near, behind = ("odometry-arc", 100.0), ("odometry-turn-scale", 60.0), ("landmark-range-bias", 45.0)
     assert kept([best, near, behind]) == ["odometry-arc", "odometry-turn-scale"]
     assert kept([near, behind], [gaining(*best)]) == ["odometry-turn-scale"]
     assert kept([near, behind]) == ["odometry-turn-scale", "landmark-range-bias"]
@@ -152,11 +152,13 @@ def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
     # An absorber drops no structured candidate that may gain, unless it gains many times as much; and near twins stay.
     assert kept([("heavy-tailed-motion-noise", 400.0), best]) == ["heavy-tailed-motion-noise", "odometry-arc"]
     assert kept([("heavy-tailed-motion-noise", 800.0), best]) == ["heavy-tailed-motion-noise"]
+    assert kept([("turn-noise-correlated", 100.0), ("odometry-turn-bias", 30.0)])[1:] == ["odometry-turn-bias"]
+    assert kept([("turn-noise-correlated", 100.0), ("odometry-turn-bias", 5.0)])[1:] == []
     assert kept([best, ("heavy-tailed-motion-noise", 20.0)]) == ["odometry-arc"]
     assert kept([("sensor-yaw", 5.0), ("odometry-side-drift", 100.0)]) == ["sensor-yaw", "odometry-side-drift"]
 
 
-def test_a_scan_goes_to_the_side_that_a_remarkable_score_tells(monkeypatch):
+def test_a_scan_goes_to_the_likeliest_places_and_the_side_that_a_remarkable_score_tells(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
     bound, wanted, runs = default_model(log).bind(log), directions(candidates(log)), []
 
@@ -167,6 +169,8 @@ def test_a_scan_goes_to_the_side_that_a_remarkable_score_tells(monkeypatch):
     monkeypatch.setattr(naming, "run_filter", counted)
     whole = [k for k, one in enumerate(wanted) if not one.effect.where]
     one_sided = sum(wanted[k].one_sided for k in whole)
+    somewhere = {one.effect.name: 1 if one.effect.shape else 2 for one in wanted if one.effect.where}
+    places = sum(somewhere.values())
 
     def runs_with(z):
         runs.clear()
@@ -176,7 +180,7 @@ def test_a_scan_goes_to_the_side_that_a_remarkable_score_tells(monkeypatch):
         return len(gains), sum(rows < log.n_steps for rows in runs)
 
     assert runs_with(np.zeros(len(wanted))) == (0, 0)
-    assert runs_with(np.full(len(wanted), -7.0)) == (len(wanted), len(wanted))
+    assert runs_with(np.full(len(wanted), -7.0)) == (len(whole) + places, len(whole) + places)
     alone = np.zeros(len(wanted))
     alone[next(k for k, one in enumerate(wanted) if one.effect.where and not one.one_sided)] = 7.0
     assert runs_with(alone) == (len(whole) + 1, 2 * len(whole) - one_sided + 1)
