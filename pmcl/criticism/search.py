@@ -140,8 +140,8 @@ class Search:
             )
         self.wanted: tuple[Direction, ...] = ()
         self.judged: Judged
-        # What was refitted since the last pass, by effect and number of particles.
-        self._refitted: dict[tuple[Any, int], Trial] = {}
+        # What was refitted since the last pass, by effect, number of particles and first row of the held-out part.
+        self._refitted: dict[tuple[Any, int, int], Trial] = {}
 
     def criticised(self, fit: Fit) -> Pass:
         """Criticise a fit of the whole log."""
@@ -301,7 +301,6 @@ class Search:
         """Hold out other rows."""
         self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows")
         self.split = int(share * self.log.n_steps)
-        self._refitted = {}
         self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
 
     def _beyond_chance(self, current: Trial, trials: list[Trial], critical_z: float) -> tuple[Trial, list[Trial]]:
@@ -339,10 +338,11 @@ class Search:
     ) -> list[Trial]:
         """Refit effects: each at a glance, then those that are not far behind others and `rivals`, in earnest."""
         current, seed, particles = self.fair(current), self.settings.seed + 100, self.settings.comparing
-        fresh = [one for one in chosen if (key_of(one[0]), particles) not in self._refitted]
+        made_before = [self._refitted.get((key_of(effect), particles, self.split)) for effect, _ in chosen]
+        fresh = [one for one, trial in zip(chosen, made_before, strict=True) if trial is None]
         known = [
-            replace(self._refitted[key_of(effect), particles], effect=effect, z=z) for effect, z in chosen
-            if (key_of(effect), particles) in self._refitted
+            replace(trial, effect=effect, z=z)
+            for (effect, z), trial in zip(chosen, made_before, strict=True) if trial is not None
         ]  # fmt: skip
         if not fresh:
             return known
@@ -376,7 +376,7 @@ class Search:
     def _remember(self, trials: Sequence[Trial], particles: int) -> None:
         for trial in trials:
             assert trial.effect is not None
-            self._refitted[key_of(trial.effect), particles] = trial
+            self._refitted[key_of(trial.effect), particles, self.split] = trial
 
     def _settled(self, current: Trial, trials: list[Trial], rivals: Sequence[Trial] = ()) -> list[Trial]:
         """Return the trials, those that lead fitted thoroughly, where more than one leads."""
