@@ -1,4 +1,4 @@
-"""When a finding needs no further look at the alarm that it explains."""
+"""When a finding needs no further look at the alarm that it explains; and what is refitted again."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from pmcl.criticism import search
 from pmcl.criticism.heldout import Gain
-from pmcl.criticism.search import Outcome
+from pmcl.criticism.passes import Settings
+from pmcl.criticism.search import Outcome, Search
+from pmcl.criticism.trials import Trial
+from pmcl.models.effects.selection import effect_named
+from pmcl.robots.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -30,3 +35,25 @@ def test_an_alarm_in_doubt_is_settled_by_a_clear_gain(heldout, whole, certain):
 
 def test_nothing_found_settles_nothing():
     assert not Outcome(None, None, []).certain
+
+
+def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch):
+    log, nothing, splits = simulate_landmark_field(60, 1, bearings=True), Gain(0.0, 0.0), []
+    settings = Settings(
+        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
+    )  # fmt: skip
+
+    def made(effect, z):
+        return Trial(effect, None, None, None, z, nothing, nothing, nothing, settings.comparing)
+
+    def tried(current, effect, z, log, split, **settings):
+        splits.append(split)
+        return made(effect, z)
+
+    monkeypatch.setattr(search, "try_effect", tried)
+    one, effect, current = Search(log, (), settings), effect_named("odometry-arc", log), made(None, 0.0)
+    for split, z in ((36, 4.0), (36, 5.0), (48, 6.0), (36, 7.0)):
+        one.split = split
+        (trial,) = one._tried(current, [(effect, z)])
+        assert trial.z == z
+    assert splits == [36, 48]
