@@ -14,6 +14,7 @@ from pmcl.criticism.naming import (
     confirmed_without_score,
     contenders,
     contenders_when_lost,
+    leaders,
     of_a_carrier,
     of_the_sensors,
     of_the_whole_robot,
@@ -156,6 +157,19 @@ def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
     assert kept([("turn-noise-correlated", 100.0), ("odometry-turn-bias", 5.0)])[1:] == []
     assert kept([best, ("heavy-tailed-motion-noise", 20.0)]) == ["odometry-arc"]
     assert kept([("sensor-yaw", 5.0), ("odometry-side-drift", 100.0)]) == ["sensor-yaw", "odometry-side-drift"]
+
+
+def test_leaders_are_close_to_the_first_and_gain_something():
+    log, base = simulate_landmark_field(60, 1, bearings=True), np.zeros(100)
+
+    def led(*gains):
+        trials = [made_trial("odometry-arc", log, base + gain / 50, base) for gain in gains]
+        return [round(trial.on_fit.total) for trial in leaders(trials)]
+
+    assert led(30.0, 100.0, 90.0) == [100, 90]
+    assert led(10.0, 11.0, 12.0, 13.0) == [13, 12, 11]
+    assert led(2.0, 10.0, 3.0) == [10]
+    assert led(3.0, 2.0) == []
 
 
 def test_a_scan_goes_to_the_likeliest_places_and_the_side_that_a_remarkable_score_tells(monkeypatch):
