@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from pmcl.criticism.alarms import Judgement
 from pmcl.criticism.heldout import block_sums, paired_gain
 from pmcl.criticism.scores import Direction, probe_values
 from pmcl.criticism.trials import PRACTICAL, Trial
@@ -27,6 +28,8 @@ __all__ = [
 Float = NDArray[np.float64]
 
 _BY_SCORE, _BY_SCAN, _ABSORBERS = 4, 2, 2
+# What is among so many first by the score of the whole log, and remarkable there, is refitted though it comes late.
+_BY_WHOLE = 3
 # Absorbers that lead call for this many more structured candidates, as far as their scores are remarkable.
 _MORE_STRUCTURED, _REMARKABLE = 8, 2.5
 # Evidence of 500 particles has a standard deviation of some 8 nats: a scan sees only what is far larger.
@@ -42,6 +45,10 @@ _FAR, _FAR_SHARE = 15.0, 0.3
 _RIVAL_SHARE = 0.2
 # A glance is some 4 nats off; what is further below nothing than this [nat] hardly ever becomes worth its parameters.
 _HOPE = 2.0
+# Of structured candidates no more than this many are refitted at length, besides near twins of the best.
+_AT_MOST = 5
+# One-sided candidates with smaller scores than this are not refitted for a steady error that the path takes up.
+_SOME_SCORE = 1.0
 # Scores below this are never beyond doubt.
 _CRITICAL = 3.0
 # Where scores mean nothing a sign test over blocks of rows must be as clear as this.
@@ -51,9 +58,11 @@ _NEARLY_ALL = 0.9
 
 
 def shortlist(
-    wanted: Sequence[Direction], z: Float, scanned: dict[int, float], more: bool = False
+    wanted: Sequence[Direction], z: Float, scanned: dict[int, float], judgement: Judgement, more: bool = False
 ) -> list[tuple[Effect, float]]:
     """Return the candidates worth a refit with their deviations: structured ones by score, by scan, and absorbers.
+
+    What the whole log speaks for most is among them, though it may be one of many absorbers or come late.
 
     Parameters
     ----------
@@ -63,6 +72,8 @@ def shortlist(
         Their deviations on the fit part.
     scanned : dict
         Gain of the finite scan by position of a direction, where there was one.
+    judgement : Judgement
+        Of all rows.
     more : bool
         Return instead the further structured candidates that must have lost before an absorber may win.
     """
@@ -72,7 +83,10 @@ def shortlist(
         rest = structured[_BY_SCORE : _BY_SCORE + _MORE_STRUCTURED]
         return [(wanted[k].effect, float(z[k])) for k in rest if abs(z[k]) > _REMARKABLE]
     absorbers = _distinct(wanted, [k for k in order if wanted[k].effect.absorber])
-    chosen = [wanted[k].effect for k in structured[:_BY_SCORE] + absorbers[:_ABSORBERS]]
+    whole = np.abs(judgement.z)
+    by_whole = _distinct(wanted, [int(k) for k in np.argsort(-whole) if whole[k] > judgement.critical_z])
+    first = structured[:_BY_SCORE] + absorbers[:_ABSORBERS]
+    chosen = [wanted[k].effect for k in _distinct(wanted, first + by_whole[:_BY_WHOLE])]
     known = {id(wanted[k].effect): float(z[k]) for k in reversed(order)}
     by_scan = sorted((k for k in scanned if scanned[k] > _SCAN_GAIN), key=lambda k: -scanned[k])
     scanned_first = [wanted[k].effect for k in _distinct(wanted, by_scan)]
@@ -84,10 +98,15 @@ def of_the_whole_robot(wanted: Sequence[Direction], z: Float) -> list[tuple[Effe
     """Return the structured candidates that have no place, greatest scores first.
 
     A steady error of the mount or of odometry is mostly taken up by the path: it may have hardly a score, and show
-    only when it is refitted.
+    only when it is refitted. What can only be there or not, as the weight of a mixture, is not taken up: without a
+    score it is not there.
     """
     order = [int(k) for k in np.argsort(-np.abs(z))]
-    able = [k for k in order if not wanted[k].effect.where and not wanted[k].effect.absorber]
+    able = [
+        k for k in order
+        if not wanted[k].effect.where and not wanted[k].effect.absorber
+        and (abs(z[k]) > _SOME_SCORE or not wanted[k].one_sided)
+    ]  # fmt: skip
     return [(wanted[k].effect, float(z[k])) for k in _distinct(wanted, able)]
 
 
@@ -197,7 +216,8 @@ def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[T
 
     Absorbers may gain more than any structured candidate and lose to the best of these all the same: structured ones
     are compared with each other, and dropped for an absorber only where that gains many times as much. Else near twins
-    of the best stay: what the path can take up, a short chain leaves there.
+    of the best stay: what the path can take up, a short chain leaves there. Where nothing gains much all are close to
+    each other; a glance is some nats off, but hardly ever finds five others before the best.
     """
 
     def least(among: Sequence[Trial]) -> float:
@@ -209,7 +229,9 @@ def contenders(glances: Sequence[Trial], rivals: Sequence[Trial] = ()) -> list[T
     best = max(everyone, key=lambda one: one.merit, default=None)
     bounds, no_rival = {False: least(structured), True: least(everyone)}, -np.inf
     if best is not None and best.effect is not None and best.effect.absorber and best.merit > 0.0:
-        no_rival = _RIVAL_SHARE * best.merit
+        no_rival = min(_RIVAL_SHARE * best.merit, best.merit - _FAR)
+    merits = sorted((one.merit for one in glances if one.effect is not None and not one.effect.absorber), reverse=True)
+    bounds[False] = max([bounds[False], *merits[_AT_MOST - 1 : _AT_MOST]])
     return [
         one for one in glances
         if one.effect is None

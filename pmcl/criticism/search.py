@@ -178,46 +178,68 @@ class Search:
         """Look in the catalogue for what explains the alarms of a pass; its model is fitted as `current`."""
         settings, z = self.settings, self.judged.z
         scanned = scan(current.fit.bound, current.fit.theta, self.wanted, z, settings.seed, settings.particles)
-        trials = self._tried(current, shortlist(self.wanted, z, scanned))
+        trials = self._tried(current, shortlist(self.wanted, z, scanned, last.judgement))
         best, _ = choose(trials)
         if best is not None and best.effect is not None and best.effect.absorber:
-            trials += self._tried(current, untried(shortlist(self.wanted, z, scanned, more=True), trials), trials)
+            more = shortlist(self.wanted, z, scanned, last.judgement, more=True)
+            trials += self._tried(current, untried(more, trials), trials)
             best, _ = choose(trials)
         if best is not None and best.effect is not None:
             trials += self._tried(current, untried_twins(best.effect, self.wanted, z, trials), trials)
         current, trials = self._beyond_chance(current, self._settled(current, trials), last.judgement.critical_z)
-        best, twins = choose(trials)
-        refused = best is None or not worth_it(best, last.judgement.critical_z)
+        best, _ = choose(trials)
+        if best is not None and worth_it(best, last.judgement.critical_z):
+            return self._beside_rules(last, current, trials, self._rules(last, current, best))
         # What comes too late for the fit part is looked for on a longer one, not among all that is left.
-        if refused and last.judgement.p_value <= WORTH_A_FORMULA and not self.comes_late(last):
-            trials += self._tried(current, untried(of_the_whole_robot(self.wanted, z), trials), trials)
-            trials = self._settled(current, trials)
-            best, twins = choose(trials)
-        if best is None or not worth_it(best, last.judgement.critical_z):
+        if last.judgement.p_value > WORTH_A_FORMULA or self.comes_late(last):
             return Outcome(None, None, trials)
-        rules = self._rules(last, current, best)
+        return self._elsewhere(last, current, trials)
+
+    def formula(self, last: Pass, current: Trial) -> Outcome:
+        """Look outside the catalogue."""
+        return self._rule_alone(self._rules(last, current))
+
+    def _elsewhere(self, last: Pass, current: Trial, trials: list[Trial]) -> Outcome:
+        """Look outside the catalogue, and among all effects of the whole robot, whatever their scores.
+
+        Formulas come first: where one of them explains the log, most of those many effects are far behind at a glance.
+        """
+        rules = self._rules(last, current)
+        rule = self._rule_alone(rules).accepted
+        rivals = [rule] if rule is not None else []
+        left = untried(of_the_whole_robot(self.wanted, self.judged.z), trials)
+        trials = self._settled(current, trials + self._tried(current, left, trials + rivals), rivals)
+        best, _ = choose(trials)
+        if best is None or not worth_it(best, last.judgement.critical_z):
+            outcome = self._rule_alone(rules)
+            return outcome._replace(trials=trials + outcome.trials)
+        return self._beside_rules(last, current, trials, rules)
+
+    def _rule_alone(self, rules: _Rules) -> Outcome:
+        """Return what formulas come to where nothing known is confirmed."""
+        best, _ = choose(rules.trials)
+        if best is None or not worth_it(best, rules.critical_z):
+            return Outcome(None, None, rules.trials)
+        return Outcome(best, found_effect(best, (), rules.judgement, rules.wanted), rules.trials)
+
+    def _beside_rules(self, last: Pass, current: Trial, trials: list[Trial], rules: _Rules) -> Outcome:
+        """Return what the best known effect, which is confirmed, comes to after formulas have competed with it."""
+        best, twins = choose(trials)
+        assert best is not None
         winner, _ = with_rules(best, twins, rules.trials, rules.critical_z)
         if winner is not best and winner.effect is not None:
             # Nothing is called a rule of its own before all that is known of its carrier has been refitted.
-            known = of_a_carrier(self.wanted, z, winner.effect.carrier)
+            known = of_a_carrier(self.wanted, self.judged.z, winner.effect.carrier)
             more = self._settled(current, self._tried(current, untried(known, trials), [best, winner]), [best])
             confirmed = [trial for trial in more if worth_it(trial, last.judgement.critical_z)]
             best, twins = choose([best, *confirmed, *(trial for trial in trials if trial is not best)])
             assert best is not None
-            trials += more
+            trials = trials + more
         best, twins = with_rules(best, twins, rules.trials, rules.critical_z)
         judged = last.judgement, self.wanted
         if any(best is rule for rule in rules.trials):
             judged = rules.judgement, rules.wanted
         return Outcome(best, found_effect(best, twins, *judged), trials + rules.trials)
-
-    def formula(self, last: Pass, current: Trial) -> Outcome:
-        """Look outside the catalogue."""
-        rules = self._rules(last, current)
-        best, _ = choose(rules.trials)
-        if best is None or not worth_it(best, rules.critical_z):
-            return Outcome(None, None, rules.trials)
-        return Outcome(best, found_effect(best, (), rules.judgement, rules.wanted), rules.trials)
 
     def _rules(self, last: Pass, current: Trial, best: Trial | None = None) -> _Rules:
         """Refit the formulas with remarkable scores; where a known effect is the best, those that may be better."""

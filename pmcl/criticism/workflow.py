@@ -26,7 +26,7 @@ from pmcl.criticism.passes import FINER, Settings, in_doubt
 from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
 from pmcl.criticism.search import FIT_SHARE, LATER, Outcome, Search
 from pmcl.criticism.trials import Trial, spare_effects
-from pmcl.criticism.verdict import WORTH_A_FORMULA, called, sentence_of, verdict_of
+from pmcl.criticism.verdict import called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.predictive import Predictions, predict_readings
@@ -225,14 +225,11 @@ class _Loop:
             self.search.split_at(LATER)
             late = self.search.trial_of(last)
             again = self.search.named(last, late)
-            if again.accepted is None:
-                self.search.split_at(FIT_SHARE)
-            else:
-                outcome, current = again, late
-        if outcome.accepted is None and last.judgement.p_value <= WORTH_A_FORMULA:
-            trials = outcome.trials
-            outcome = self.search.formula(last, current)
-            outcome = outcome._replace(trials=trials + outcome.trials)
+            if again.accepted is not None:
+                return again, late
+            self.search.split_at(FIT_SHARE)
+            rule = self.search.formula(last, current)
+            outcome = rule._replace(trials=outcome.trials + rule.trials)
         return outcome, current
 
     def _follow(self, fit: Fit) -> None:

@@ -19,6 +19,7 @@ from pmcl.criticism.naming import (
     of_the_sensors,
     of_the_whole_robot,
     scan,
+    shortlist,
     untried,
     untried_twins,
     with_rules,
@@ -133,6 +134,42 @@ def test_effects_of_the_whole_robot_are_those_without_a_place():
     assert not {"motion", "map"} & {effect.carrier for effect in sensing}
 
 
+def test_what_can_only_be_there_or_not_is_sought_in_the_whole_robot_where_it_has_a_score():
+    log = simulate_amigobot(60.0, 1)
+    wanted = directions(candidates(log))
+
+    def names(z):
+        return {effect.name for effect, _ in of_the_whole_robot(wanted, np.full(len(wanted), z))}
+
+    assert names(0.5) < names(1.5)
+    assert {"odometry-turn-bias", "sensor-yaw", "range-scale"} <= names(0.0)
+    assert names(1.5) - names(0.5) >= {"wheel-slip", "short-readings", "beam-width"}
+
+
+def test_what_the_whole_log_speaks_for_is_refitted_though_others_come_first_in_the_fit_part():
+    log = simulate_amigobot(60.0, 1)
+    wanted = directions(candidates(log))
+    position = {one.effect.name: k for k, one in enumerate(wanted)}
+    early, whole = np.zeros(len(wanted)), np.zeros(len(wanted))
+    first = ("odometry-arc", "odometry-turn-bias", "sensor-yaw", "range-scale", "random-readings", "wheel-slip")
+    for k, name in enumerate((*first, "turn-noise-correlated", "heavy-tailed-motion-noise")):
+        early[position[name]] = 8.0 - k
+    late = position["heavy-tailed-motion-noise"]
+
+    def named():
+        return [effect.name for effect, _ in shortlist(wanted, early, {}, SimpleNamespace(z=whole, critical_z=3.3))]
+
+    usual = [*first[:4], "random-readings", "turn-noise-correlated"]
+    assert named() == usual
+    whole[late] = 3.0
+    assert named() == usual
+    whole[late] = -3.5
+    assert named() == [*usual, "heavy-tailed-motion-noise"]
+    # Among three that are more remarkable it is none of the first.
+    whole[[position[name] for name in first[:3]]] = 9.0
+    assert named() == usual
+
+
 def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
     log, base = simulate_landmark_field(60, 1, bearings=True), np.zeros(100)
 
@@ -157,6 +194,22 @@ def test_what_a_glance_finds_far_behind_is_not_refitted_in_earnest():
     assert kept([("turn-noise-correlated", 100.0), ("odometry-turn-bias", 5.0)])[1:] == []
     assert kept([best, ("heavy-tailed-motion-noise", 20.0)]) == ["odometry-arc"]
     assert kept([("sensor-yaw", 5.0), ("odometry-side-drift", 100.0)]) == ["sensor-yaw", "odometry-side-drift"]
+    # An absorber that gains little is no reason to drop what gains less.
+    assert len(kept([("turn-noise-correlated", 4.0), ("heavy-tailed-motion-noise", 0.5), ("odometry-arc", 0.0)])) == 3
+
+
+def test_of_many_that_gain_little_a_few_are_refitted_in_earnest():
+    log, base = simulate_landmark_field(60, 1, bearings=True), np.zeros(100)
+    names = ("odometry-turn-scale", "odometry-forward-scale", "odometry-latency", "landmark-range-bias", "sensor-yaw",
+             "landmark-range-scale", "odometry-side-drift")  # fmt: skip
+    glances = [made_trial(name, log, base + (13.0 - k) / 50, base) for k, name in enumerate(names)]
+    assert contenders(glances) == glances[:5]
+    assert contenders([glances[6], *glances[:6]]) == glances[:5]
+    # Near twins of the best stay, and absorbers take nobody's place.
+    best = made_trial("sensor-yaw", log, base + 14.0 / 50, base)
+    assert contenders([best, *glances]) == [best, *glances[:4], glances[6]]
+    absorber = made_trial("heavy-tailed-motion-noise", log, base + 11.0 / 50, base)
+    assert contenders([absorber, *glances]) == [absorber, *glances[:5]]
 
 
 def test_leaders_are_close_to_the_first_and_gain_something():

@@ -1,9 +1,10 @@
-"""When a finding needs no further look at the alarm that it explains; and what is refitted again."""
+"""When a finding needs no further look at its alarm, what is refitted again, and what formulas are compared with."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from pmcl.criticism import search
@@ -57,3 +58,24 @@ def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch
         (trial,) = one._tried(current, [(effect, z)])
         assert trial.z == z
     assert splits == [36, 48]
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(monkeypatch, confirmed):
+    log, seen = simulate_landmark_field(60, 1, bearings=True), []
+    settings = Settings(
+        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
+    )  # fmt: skip
+    gain = Gain(40.0, 5.0)
+    heldout = gain if confirmed else Gain(-5.0, 5.0)
+    rows = np.zeros(log.n_steps)
+    rule = Trial(effect_named("odometry-arc", log), None, None, rows, 9.0, gain, heldout, gain)
+    one, last = Search(log, (), settings), SimpleNamespace(judgement=SimpleNamespace(critical_z=3.0))
+    one.judged = SimpleNamespace(z=np.zeros(0))
+    monkeypatch.setattr(one, "_rules", lambda *_: search._Rules([rule], (), last.judgement, 3.0))
+    monkeypatch.setattr(one, "_tried", lambda current, chosen, rivals: seen.append(rivals) or [])
+    monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
+    outcome = one._elsewhere(last, rule, [])
+    assert seen == [[rule] if confirmed else []]
+    assert outcome.accepted is (rule if confirmed else None)
+    assert outcome.trials == [rule]
