@@ -169,6 +169,7 @@ def _formula(carrier: _Carrier, name: str, feature: Float) -> Effect | None:
         carrier=carrier.carrier,
         look=f"Residuals depend on {name}.",
         typical={"clear": (clear,)},
+        absorber=True,  # noise that depends on something takes up much of what any effect causes
     )
 
 

@@ -202,7 +202,8 @@ class Search:
     def _elsewhere(self, last: Pass, current: Trial, trials: list[Trial]) -> Outcome:
         """Look outside the catalogue, and among all effects of the whole robot, whatever their scores.
 
-        Formulas come first: where one of them explains the log, most of those many effects are far behind at a glance.
+        Formulas come first: where one of them explains the log, most of those many effects gain next to nothing beside
+        it at a glance.
         """
         rules = self._rules(last, current)
         rule = self._rule_alone(rules).accepted
