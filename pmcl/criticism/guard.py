@@ -50,11 +50,26 @@ def lost_at(made: Predictions, n_steps: int) -> int | None:
     return int(rows[lost.min()]) if lost.size else None
 
 
-def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed: int) -> tuple[int, str]:
+def particles_that_follow(
+    bound: BoundModel, theta: Float, particles: int, seed: int, *, patient: bool = False
+) -> tuple[int, str]:
     """Check that a filter follows the robot, by a second one of four times as many particles and another seed.
 
     Where the two do not agree, two filters of twice as many particles may do; else a third filter, as large as the
     second, must agree with that one.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to one log.
+    theta : ndarray, shape (d,)
+        Its parameters.
+    particles : int
+        Particles of the first filter.
+    seed : int
+        All randomness follows from it.
+    patient : bool
+        Where all that fails, whether the second filter may also be confirmed by one of four times its particles.
 
     Returns
     -------
@@ -92,6 +107,9 @@ def particles_that_follow(bound: BoundModel, theta: Float, particles: int, seed:
             return 2 * particles, enough.format(2 * particles)
         lost_again, other = followed(2, 4 * particles)
         lost_again = _apart(large, other, both_ways=True) if lost_again is None else lost_again
+        if lost_again is not None and patient:
+            lost_largest, largest = followed(5, 16 * particles)
+            lost_again = None if lost_largest is None and _apart(large, largest) is None else lost_again
     if lost_again is not None:
         raise FilterError(
             f"{log.where}: the filter loses the robot at t={log.times[lost_again]:g} s; "

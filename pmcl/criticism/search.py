@@ -280,8 +280,10 @@ class Search:
 
         Scores of a lost filter mean nothing, but a trajectory that is updated with the parameters is not lost so
         easily: all effects of the motion are refitted, and if none helps those of the sensors. Along that trajectory
-        scores still tell which beams and landmarks are the likeliest. Return the best of the effects with which the
-        filter follows, and all trials, or None. `follow` raises FilterError where a filter does not.
+        scores still tell which beams and landmarks are the likeliest. A sensor that is trusted less lets a filter
+        follow where its motion is wrong: what gains less than a confirmed effect that does not is not accepted.
+        Return the best of the effects with which the filter follows, and all trials, or None. `follow` raises
+        FilterError where a filter does not.
         """
         self.wanted = candidate_directions(self.log, fit, self.offered)
         split, seed, particles = self.split, self.settings.seed + 100, self.settings.comparing
@@ -296,11 +298,12 @@ class Search:
         scores = effect_rows(fit.tables, self.log, np.ascontiguousarray(fit.path.T[None]), self.wanted)
         z = scores.sum(axis=1) / np.sqrt((scores**2).sum(axis=1) + np.finfo(float).tiny)
         z = np.where([one.one_sided for one in self.wanted], np.maximum(z, 0.0), z)
+        least = 0.0
         for offered in (of_a_carrier(self.wanted, z, "motion"), of_the_sensors(self.wanted, z)):
             # The scores rank, no more: what they are when the model is right nobody knows.
             new = self._settled(current, self._tried(current, [(effect, 0.0) for effect, _ in offered], lost=True))
             trials += new
-            confirmed = [trial for trial in new if confirmed_without_score(trial, current)]
+            confirmed = [one for one in new if one.merit > least and confirmed_without_score(one, current)]
             for trial in sorted(confirmed, key=lambda one: -one.merit)[:_FOLLOWED]:
                 bound = trial.model.bind(self.log)
                 try:
@@ -308,6 +311,7 @@ class Search:
                 except FilterError:
                     continue
                 return trial, trials
+            least = max((one.merit for one in confirmed), default=0.0)
         return None
 
     def comes_late(self, last: Pass) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -162,7 +163,7 @@ class _Loop:
         try:
             self._follow(fit)
         except FilterError as lost:
-            recovered = self.search.found_again(fit, self._follow)
+            recovered = self.search.found_again(fit, partial(self._follow, patient=True))
             if recovered is None:
                 raise
             at, name = str(lost).partition(" at ")[2].partition(";")[0], recovered[0].model.effects[-1].name
@@ -232,9 +233,11 @@ class _Loop:
             outcome = rule._replace(trials=outcome.trials + rule.trials)
         return outcome, current
 
-    def _follow(self, fit: Fit) -> None:
+    def _follow(self, fit: Fit, patient: bool = False) -> None:
         """Take as many particles as follow the robot; raise FilterError where none do."""
-        particles, note = particles_that_follow(fit.bound, fit.theta, self.settings.particles, self.settings.seed)
+        particles, note = particles_that_follow(
+            fit.bound, fit.theta, self.settings.particles, self.settings.seed, patient=patient
+        )
         if note:
             self.notes.append(note)
             # Comparisons cost most of the time then, and are less noisy than those by fewer particles.

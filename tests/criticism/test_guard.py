@@ -57,6 +57,31 @@ def test_no_more_particles_are_taken_than_follow(log, monkeypatch, needed, used)
     assert particles_that_follow(bound, theta, 300, 1) == (used, note)
 
 
+@pytest.mark.parametrize("largest", [True, False])
+def test_where_large_filters_differ_a_larger_one_may_confirm_the_first(log, monkeypatch, largest):
+    asked = []
+
+    def predicted(tables, n_steps, n, rng):
+        asked.append(n)
+        if n < 1200 or asked == [1200, 300, 600, 1200] or (n > 1200 and not largest):
+            raise FilterError("lost")
+        return predict_readings(tables, n_steps, 300, rng)
+
+    monkeypatch.setattr(guard, "predict_readings", predicted)
+    bound = default_model(log).bind(log)
+    theta = np.array([NOISE[name] for name in bound.names])
+    with pytest.raises(FilterError, match="loses the robot at t=0 s"):
+        particles_that_follow(bound, theta, 300, 1)
+    assert asked == [1200, 300, 600, 1200]
+    asked.clear()
+    if not largest:
+        with pytest.raises(FilterError, match="loses the robot at t=0 s"):
+            particles_that_follow(bound, theta, 300, 1, patient=True)
+    else:
+        assert particles_that_follow(bound, theta, 300, 1, patient=True)[0] == 1200
+    assert asked == [1200, 300, 600, 1200, 4800]
+
+
 def test_a_robot_that_was_carried_away_is_lost_from_then_on(log):
     carried = _carried(log)
     bound = default_model(carried).bind(carried)

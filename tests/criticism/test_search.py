@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import search
+from pmcl.criticism.fit import GLANCE, quick_fit
 from pmcl.criticism.heldout import Gain
 from pmcl.criticism.passes import Settings
 from pmcl.criticism.search import Outcome, Search
 from pmcl.criticism.trials import Trial
+from pmcl.errors import FilterError
+from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import default_model
 from pmcl.robots.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
@@ -58,6 +62,42 @@ def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch
         (trial,) = one._tried(current, [(effect, z)])
         assert trial.z == z
     assert splits == [36, 48]
+
+
+@pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
+def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does_better(
+    monkeypatch, motion, sensor, named
+):
+    """With no effect of the motion does the filter follow here, with that of the sensors it does."""
+    log, follows = simulate_landmark_field(150, 1, bearings=True), []
+    settings = Settings(
+        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+
+    def made(name, total):
+        gain = Gain(total, 5.0)
+        rows = total / log.n_steps + 0.01 * rng.standard_normal(log.n_steps)
+        model = SimpleNamespace(bind=lambda log: name)
+        fit = SimpleNamespace(theta=None)
+        return Trial(effect_named(name, log), model, fit, rows, 0.0, gain, gain, gain)
+
+    def follow(fit):
+        follows.append(fit)
+        if fit == "heavy-tailed-motion-noise":
+            raise FilterError("lost")
+
+    fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
+    found = iter([[made("heavy-tailed-motion-noise", motion)], [made("landmark-misread", sensor)]])
+    base = Trial(None, None, fit, np.zeros(log.n_steps), 0.0, *(3 * [Gain(0.0, 0.0)]))
+    monkeypatch.setattr(search, "trial_of_base", lambda *_, **__: base)
+    monkeypatch.setattr(search, "quick_fit", lambda bound, *_, **__: bound)
+    one = Search(log, candidates(log), settings)
+    monkeypatch.setattr(one, "_tried", lambda *_, **__: next(found))
+    monkeypatch.setattr(one, "_settled", lambda current, trials: trials)
+    outcome = one.found_again(fit, follow)
+    assert (outcome is not None) is named
+    assert follows == [*(["heavy-tailed-motion-noise"] if motion else []), *(["landmark-misread"] if named else [])]
 
 
 @pytest.mark.parametrize("confirmed", [True, False])

@@ -125,10 +125,10 @@ def test_an_effect_that_begins_after_the_fit_part_is_named_on_a_longer_one():
 def test_a_filter_that_is_lost_without_an_effect_finds_the_robot_with_it(monkeypatch):
     follow = workflow.particles_that_follow
 
-    def lost_without(bound, theta, particles, seed):
+    def lost_without(bound, theta, particles, seed, **patience):
         if "turn_noise_grows_with_turn" not in bound.names:
             raise FilterError("made: the filter loses the robot at t=77 s; restart with more particles")
-        return follow(bound, theta, particles, seed)
+        return follow(bound, theta, particles, seed, **patience)
 
     monkeypatch.setattr(workflow, "particles_that_follow", lost_without)
     result = small(hidden("turn-noise-grows-with-turn=0.5"))
