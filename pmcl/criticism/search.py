@@ -174,8 +174,12 @@ class Search:
                 return trial, replace(found_effect(trial, (), last.judgement, self.wanted), p_value=0.0)
         return None
 
-    def named(self, last: Pass, current: Trial) -> Outcome:
-        """Look in the catalogue for what explains the alarms of a pass; its model is fitted as `current`."""
+    def named(self, last: Pass, current: Trial, everywhere: bool = True) -> Outcome:
+        """Look for what explains the alarms of a pass, whose model is fitted as `current`.
+
+        First among the likeliest of the catalogue; where that does not help, and `everywhere`, among all effects of the
+        whole robot and outside of the catalogue.
+        """
         settings, z = self.settings, self.judged.z
         scanned = scan(current.fit.bound, current.fit.theta, self.wanted, z, settings.seed, settings.particles)
         trials = self._tried(current, shortlist(self.wanted, z, scanned, last.judgement))
@@ -191,7 +195,7 @@ class Search:
         if best is not None and worth_it(best, last.judgement.critical_z):
             return self._beside_rules(last, current, trials, self._rules(last, current, best))
         # What comes too late for the fit part is looked for on a longer one, not among all that is left.
-        if last.judgement.p_value > WORTH_A_FORMULA or self.comes_late(last):
+        if not everywhere or last.judgement.p_value > WORTH_A_FORMULA or self.comes_late(last):
             return Outcome(None, None, trials)
         return self._elsewhere(last, current, trials)
 

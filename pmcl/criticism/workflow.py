@@ -198,15 +198,14 @@ class _Loop:
                 break
             self.settings.tell(f"alarm: {alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}")
             current = current or self.search.trial_of(last)
-            outcome, compared = self._named(last, current)
             # Of later passes a doubtful alarm was looked at again before.
-            if not self.found and in_doubt(last.judgement) and not outcome.certain:
+            doubted = not self.found and in_doubt(last.judgement)
+            outcome, compared = self._named(last, current, everywhere=not doubted)
+            if doubted and not outcome.certain:
                 first = last = self.search.looked_again(last)
                 if not last.judgement.raised:
                     self._record(last, current, outcome.trials, "nothing unusual")
                     break
-                if compared is not current:
-                    self.search.split_at(FIT_SHARE)
                 outcome, compared = self._named(last, current)
             current, trials = compared, outcome.trials
             accepted, found = outcome.accepted, outcome.found
@@ -219,10 +218,13 @@ class _Loop:
             last = self._refitted(last, current, number)
         return self._result(first, last, joint, draws)
 
-    def _named(self, last: Pass, current: Trial) -> tuple[Outcome, Trial]:
-        """Look for what explains a pass, in the catalogue and outside; return also what it is compared with."""
-        outcome = self.search.named(last, current)
-        if outcome.accepted is None and self.search.comes_late(last):
+    def _named(self, last: Pass, current: Trial, everywhere: bool = True) -> tuple[Outcome, Trial]:
+        """Look for what explains a pass, in the catalogue and outside; return also what it is compared with.
+
+        `everywhere` tells whether to go on where what the scores point to does not.
+        """
+        outcome = self.search.named(last, current, everywhere)
+        if everywhere and outcome.accepted is None and self.search.comes_late(last):
             self.search.split_at(LATER)
             late = self.search.trial_of(last)
             again = self.search.named(last, late)

@@ -64,6 +64,24 @@ def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch
     assert splits == [36, 48]
 
 
+def test_only_the_likeliest_are_refitted_where_not_everything_is_to_be_searched(monkeypatch):
+    log = simulate_landmark_field(60, 1, bearings=True)
+    settings = Settings(
+        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
+    )  # fmt: skip
+    one = Search(log, (), settings)
+    one.judged = SimpleNamespace(z=np.zeros(0))
+    fit = SimpleNamespace(bound=None, theta=None)
+    current = Trial(None, None, fit, np.zeros(60), 0.0, *(3 * [Gain(0.0, 0.0)]), settings.comparing)
+    judgement = SimpleNamespace(z=np.zeros(0), critical_z=3.0, p_value=1e-4)
+    monkeypatch.setattr(one, "_elsewhere", lambda *_: "found elsewhere")
+    assert one.named(SimpleNamespace(judgement=judgement), current, False) == Outcome(None, None, [])
+    monkeypatch.setattr(one, "comes_late", lambda last: False)
+    assert one.named(SimpleNamespace(judgement=judgement), current) == "found elsewhere"
+    judgement.p_value = 0.04
+    assert one.named(SimpleNamespace(judgement=judgement), current) == Outcome(None, None, [])
+
+
 @pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
 def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does_better(
     monkeypatch, motion, sensor, named

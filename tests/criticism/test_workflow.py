@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import workflow
+from pmcl.criticism.search import Outcome, Search
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import CriticismError, FilterError, PmclError
 from pmcl.logs.robot_log import RobotLog
@@ -119,6 +120,28 @@ def test_an_effect_that_begins_after_the_fit_part_is_named_on_a_longer_one():
     assert result.split == 240
     assert result.effects[0].parameters["range_noise_changes_in_time_when"].mean == pytest.approx(0.65, abs=0.03)
     assert result.steps[-1].gap.log_score_per_reading > result.steps[0].gap.log_score_per_reading + 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("doubted", [True, False])
+def test_a_doubtful_alarm_is_looked_at_again_before_everything_is_searched(monkeypatch, doubted):
+    done = []
+
+    def named(search, last, current, everywhere=True):
+        done.append("everywhere" if everywhere else "the likeliest")
+        return Outcome(None, None, [])
+
+    def looked_again(search, last):
+        done.append("again")
+        return last
+
+    monkeypatch.setattr(Search, "named", named)
+    monkeypatch.setattr(Search, "looked_again", looked_again)
+    monkeypatch.setattr(Search, "comes_late", lambda search, last: False)
+    monkeypatch.setattr(workflow, "in_doubt", lambda judgement: doubted)
+    result = small(hidden("beam-bias@2=0.1", 120.0), rounds=1)
+    assert done == (["the likeliest", "again"] if doubted else []) + ["everywhere"]
+    assert not result.effects
 
 
 @pytest.mark.slow
