@@ -305,12 +305,13 @@ def worth_it(best: Trial, critical_z: float) -> bool:
     """Return whether the winner of the fit part is accepted by the held-out part.
 
     A gain of z^2 / 2 nats has a standard error of about z: to ask for two of them is to ask for z = 4 on the
-    held-out part alone. Where the effect's own score is beyond its critical value already, which is a test at a known
-    rate of errors, any gain on the held-out part confirms it, if the whole log's gain exceeds its error.
+    held-out part alone; one is enough where the whole log leaves no doubt. Where the effect's own score is beyond its
+    critical value already, which is a test at a known rate of errors, any gain on the held-out part confirms it, if the
+    whole log's gain exceeds its error.
     """
     if abs(best.z) > max(critical_z, _CRITICAL):
         return best.on_heldout.total > 0.0 and best.on_all.total > max(PRACTICAL, best.on_all.se)
-    return best.on_heldout.total > max(PRACTICAL, 2.0 * best.on_heldout.se)
+    return best.confirmed
 
 
 def contenders_when_lost(glances: Sequence[Trial], current: Trial) -> list[Trial]:

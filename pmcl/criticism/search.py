@@ -43,7 +43,7 @@ from pmcl.criticism.passes import (
 )
 from pmcl.criticism.result import FoundEffect, Pass
 from pmcl.criticism.scores import Direction, directions, effect_rows
-from pmcl.criticism.trials import PRACTICAL, Trial, refitted, scored_anew, trial_of_base, try_effect
+from pmcl.criticism.trials import Trial, refitted, scored_anew, trial_of_base, try_effect
 from pmcl.criticism.verdict import WORTH_A_FORMULA, called
 from pmcl.criticism.waves import remarkable_waves
 from pmcl.errors import CriticismError, FilterError
@@ -64,8 +64,6 @@ _FOLLOWED = 3
 # unless their rows run like those of the effect: then they are the effect, in other words.
 _NEARLY = 0.5
 _THE_SAME = 0.98
-# The best of a hundred candidates gains some 5 nats by chance on a log without an effect, and never this many.
-_NO_CHANCE = 15.0
 # Particles that are enough for a glance.
 _AT_A_GLANCE = 2000
 # So many times the particles compare models that held-out rows do not confirm.
@@ -91,14 +89,8 @@ class Outcome(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether the effect is confirmed so clearly that a doubtful alarm need not be looked into.
-
-        By the held-out part alone; or by it and, clearly, by the whole log, with a gain that none has by chance.
-        """
-        if self.accepted is None or self.accepted.on_heldout.total <= PRACTICAL:
-            return False
-        whole = self.accepted.on_all
-        return self.accepted.on_heldout.significant or (whole.significant and whole.total > _NO_CHANCE)
+        """Whether the effect is confirmed so clearly that a doubtful alarm need not be looked into."""
+        return self.accepted is not None and self.accepted.confirmed
 
 
 class _Rules(NamedTuple):

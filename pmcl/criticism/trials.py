@@ -25,6 +25,8 @@ Float = NDArray[np.float64]
 
 PRACTICAL = 3.0
 """Gains below this are real at best, never worth a parameter [nat]."""
+# The best of a hundred candidates gains some 5 nats by chance on a log without an effect, and never this many.
+_NO_CHANCE = 15.0
 _START = 0.25
 
 
@@ -72,6 +74,18 @@ class Trial:
     def merit(self) -> float:
         """Gain on the fit part [nat], less one for each parameter it has more (Akaike)."""
         return self.on_fit.total - (len(self.effect.parameters) if self.effect is not None else 0)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether rows confirm it that did not choose it.
+
+        The held-out part by two standard errors; or by one, where the whole log gains more than two and than chance
+        can. What explains a few gross errors gains in a few rows, and the error of its gain is great for that.
+        """
+        held, whole = self.on_heldout, self.on_all
+        if held.total <= PRACTICAL:
+            return False
+        return held.significant or (held.total > held.se and whole.significant and whole.total > _NO_CHANCE)
 
 
 def try_effect(

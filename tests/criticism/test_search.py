@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from pmcl.criticism import search
 from pmcl.criticism.fit import GLANCE, quick_fit
 from pmcl.criticism.heldout import Gain
+from pmcl.criticism.naming import worth_it
 from pmcl.criticism.passes import Settings
 from pmcl.criticism.search import Outcome, Search
 from pmcl.criticism.trials import Trial
@@ -31,11 +33,16 @@ from pmcl.robots.landmark_field import simulate_landmark_field
         (Gain(10.0, 7.0), Gain(14.0, 3.0), False),  # so much some candidate may gain by chance
         (Gain(-5.0, 7.0), Gain(40.0, 9.0), False),
         (Gain(2.0, 0.5), Gain(40.0, 9.0), False),  # never worth a parameter
+        (Gain(6.0, 7.0), Gain(60.0, 9.0), False),  # the held-out part says nothing
+        (Gain(79.0, 55.0), Gain(157.0, 76.0), True),  # a few gross errors explained
     ],
 )
-def test_an_alarm_in_doubt_is_settled_by_a_clear_gain(heldout, whole, certain):
-    trial = SimpleNamespace(on_heldout=heldout, on_all=whole)
+def test_what_confirms_an_effect_and_settles_an_alarm_in_doubt(heldout, whole, certain):
+    trial = Trial(None, None, None, None, 2.9, whole, heldout, whole)
     assert Outcome(trial, None, [trial]).certain is certain
+    assert worth_it(trial, 3.2) is certain
+    # A remarkable score is a test by itself.
+    assert worth_it(replace(trial, z=4.0), 3.2) is (heldout.total > 0.0 and whole.total > whole.se)
 
 
 def test_nothing_found_settles_nothing():
