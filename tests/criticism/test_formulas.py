@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from pmcl.criticism.formulas import filled_in, formulas
+from pmcl.criticism.naming import contenders
 from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.selection import effect_named
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.robots.amigobot import simulate_amigobot
@@ -26,6 +30,16 @@ def library():
     path = np.array(log.true_poses)
     path[:, 2] = np.unwrap(path[:, 2])
     return log, tables, {effect.name: effect for effect in formulas(log, tables, path)}
+
+
+def test_a_formula_is_no_reason_to_drop_a_known_effect_that_gains_much_at_a_glance(library):
+    """Noise that depends on something takes up much of what, say, a large offset of the sensor causes."""
+    log, _, library = library
+    rule = SimpleNamespace(effect=library["formula: log sigma_forward += c*speed"], merit=75.0)
+    known = SimpleNamespace(effect=effect_named("sensor-offset", log), merit=50.0)
+    little = SimpleNamespace(effect=effect_named("odometry-arc", log), merit=10.0)
+    assert contenders([known, little], [rule]) == [known]
+    assert contenders([little], [rule]) == []
 
 
 def test_formulas_do_what_they_say(library):
