@@ -68,11 +68,13 @@ def test_walls_that_no_ray_of_a_bundle_can_meet_are_left_out_without_a_trace(wid
     moved = WallMap(walls.segments + shift[:2])
     company = np.array([[40.0, 40.0, 0.0], [-40.0, -40.0, 2.0], [40.0, -40.0, 4.0]])
     for centre in _poses(rng, 30, 4.0):
-        bundle = centre + width * rng.uniform(-1.0, 1.0, (20, 3))
-        among_others = _cast(walls, np.concatenate([bundle, company]))[:20]
+        bundle = centre + width * rng.uniform(-1.0, 1.0, (40, 3))
+        among_others = _cast(walls, np.concatenate([bundle, company]))[:40]
         np.testing.assert_allclose(among_others, _shapely_lengths(walls.segments, bundle), rtol=1e-9, atol=1e-9)
         alone = _cast(moved, bundle + shift)
         np.testing.assert_allclose(alone, among_others, rtol=1e-9, atol=1e-9 + 1e-9 * offset)
+        # So few rays try all walls.
+        np.testing.assert_array_equal(_cast(moved, bundle[:9] + shift), alone[:9])
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)

@@ -24,6 +24,8 @@ __all__ = ["cast_rays", "hit_cosines", "inverse_lengths", "middle_and_reach", "w
 
 Float = NDArray[np.float64]
 
+# Of so few rays it takes longer to find out which walls they may meet than to try them all.
+_FEW = 32
 # Some thousand times the rounding error of the side of a corner, relative to the size of the coordinates.
 _SLACK = 1e-12
 
@@ -104,6 +106,27 @@ def _meet_three(ax, ay, bx, by, cx, cy, ex, ey, dx, dy, moment, first, second, t
 
 
 @kernel
+def _meet_all(vertices, wall_start, wall_stop, x, y, dx, dy, moment, inverse, best):
+    """Lower `best` where any wall is met; `inverse` is from :func:`wall_numerators`."""
+    n_walls, w = wall_start.size, 0
+    while w < n_walls:
+        a, b = wall_start[w], wall_stop[w]
+        if w + 2 < n_walls and b == wall_start[w + 1] and wall_stop[w + 1] == wall_start[w + 2]:
+            c, e = wall_stop[w + 1], wall_stop[w + 2]
+            _meet_three(
+                vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1], vertices[c, 0], vertices[c, 1],
+                vertices[e, 0], vertices[e, 1], dx, dy, moment, inverse[w], inverse[w + 1], inverse[w + 2], best,
+            )  # fmt: skip
+            w += 3
+            continue
+        _meet_one(
+            vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1], x, y, dx, dy, moment, inverse[w], True,
+            best,
+        )  # fmt: skip
+        w += 1
+
+
+@kernel
 def _bounds_of(vertices, corner, bounds):
     return _corner_bounds(vertices[corner, 0], vertices[corner, 1], bounds)
 
@@ -133,6 +156,9 @@ def inverse_lengths(vertices, wall_start, wall_stop, x, y, dx, dy, bounds, inver
         moment[i] = x[i] * dy[i] - y[i] * dx[i]
         best[i] = 0.0 if moment[i] < np.inf else np.nan  # a ray that is no number has no length
     n_walls, w = wall_start.size, 0
+    if ready and x.size <= _FEW:
+        _meet_all(vertices, wall_start, wall_stop, x, y, dx, dy, moment, inverse, best)
+        return
     last, last_bounds = -1, (0.0, 0.0, 0.0)
     while w < n_walls:
         a, b = wall_start[w], wall_stop[w]

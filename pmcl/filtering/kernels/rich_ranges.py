@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pmcl.filtering.kernels.compile import kernel
+from pmcl.filtering.kernels.compile import entry, kernel
 from pmcl.filtering.kernels.contract import (
     has_reading,
     linear_information,
@@ -33,7 +33,14 @@ from pmcl.filtering.kernels.student import (
     student_logpdf,
     upper_tail,
 )
-from pmcl.filtering.kernels.vector_math import any_nonzero, exp_into, log_into, sincos_into, upper_tail_into
+from pmcl.filtering.kernels.vector_math import (
+    any_nonzero,
+    atan2_into,
+    exp_into,
+    log_into,
+    sincos_into,
+    upper_tail_into,
+)
 from pmcl.models.rich_tables import RichRangeBeams
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -137,6 +144,12 @@ def _echo_into(sensor, n, z, centre, std, out):
         for i in range(n):
             r = (z[i] - centre[i]) / std[i]
             out[i] = constant - out[i] - 0.5 * r * r
+    # Most rows hold none of these, and a loop that only looks for them is a vector loop.
+    awkward = False
+    for i in range(n):
+        awkward |= (z[i] <= 0.0) | (z[i] >= sensor.max_range)
+    if not (awkward or sensor.step > 0.0):
+        return
     for i in range(n):
         if z[i] <= 0.0 or z[i] >= sensor.max_range or (sensor.step > 0.0 and z[i] > 0.0):
             out[i] = _awkward_echo(sensor, z[i], centre[i], std[i])
@@ -148,13 +161,22 @@ def _expect(sensor, beam, first, stride, n, previous_inverse, own, inverse):
     z, expected, std, centre, width = own[_Z], own[_EXPECTED], own[_STD], own[_CENTRE], own[_WIDTH]
     far, longest = _FAR * sensor.max_range, sensor.max_range
     scale, bias, base, growth = sensor.scale[beam], sensor.bias[beam], sensor.std[beam], sensor.growth[beam]
-    for i in range(n):
-        row = first + stride * i
-        length = 1.0 / inverse[i]
-        z[i] = sensor.reading[row, beam]
-        expected[i] = min(scale * length + bias + sensor.bias_at[row, beam], far)
-        std[i] = base * sensor.std_factor[row] * (1.0 + growth * min(length, longest))
-        centre[i], width[i] = expected[i], std[i]
+    if stride == 0:
+        value, shift, spread = sensor.reading[first, beam], bias + sensor.bias_at[first, beam], sensor.std_factor[first]
+        for i in range(n):
+            length = 1.0 / inverse[i]
+            z[i] = value
+            expected[i] = min(scale * length + shift, far)
+            std[i] = base * spread * (1.0 + growth * min(length, longest))
+            centre[i], width[i] = expected[i], std[i]
+    else:
+        for i in range(n):
+            row = first + stride * i
+            length = 1.0 / inverse[i]
+            z[i] = sensor.reading[row, beam]
+            expected[i] = min(scale * length + bias + sensor.bias_at[row, beam], far)
+            std[i] = base * sensor.std_factor[row] * (1.0 + growth * min(length, longest))
+            centre[i], width[i] = expected[i], std[i]
     correlation = sensor.correlation[beam]
     if correlation == 0.0:
         return
@@ -189,33 +211,63 @@ def _obstacle_lengths(sensor, k, beam, pose, sine, cosine, lengths):
 
 
 @kernel
-def _reflected(sensor, beam, cosine):
-    """Return the probability of a detour at this cosine of incidence."""
-    incidence = math.acos(min(cosine, 1.0))
-    return sensor.specular_weight[beam] / (1.0 + math.exp((sensor.specular_angle - incidence) / _EDGE))
+def _reflected(sensor, beam, cosine, out, draft):
+    """Write the probability of a detour at each cosine of incidence into `out`."""
+    n = out.size
+    for i in range(n):
+        c = min(cosine[i], 1.0)
+        out[i] = math.sqrt(1.0 - c * c)
+    atan2_into(out, cosine, draft)
+    for i in range(n):
+        draft[i] = (sensor.specular_angle - draft[i]) / _EDGE
+    exp_into(draft, 0.0, out)
+    for i in range(n):
+        out[i] = sensor.specular_weight[beam] / (1.0 + out[i])
 
 
 @kernel
 def _detour_density(sensor, z, expected):
     low, longest = max(expected, 0.0), sensor.max_range
-    if longest - low > _LEAST_DETOUR * longest:
-        return 1.0 / (longest - low) if low < z < longest else 0.0
-    return 1.0 if z >= longest else 0.0
+    room = longest - low
+    inside = 1.0 / room if (low < z) & (z < longest) else 0.0
+    beyond = 1.0 if z >= longest else 0.0
+    return inside if room > _LEAST_DETOUR * longest else beyond
 
 
 @kernel
-def _short_density(sensor, z, expected):
-    room = max(min(expected, sensor.max_range), _LEAST_ROOM)
-    if not 0.0 < z < room:
-        return 0.0
-    return math.exp(-z / sensor.short_length) / (-sensor.short_length * math.expm1(-room / sensor.short_length))
+def _short_densities(sensor, z, expected, out, draft):
+    """Write the density of echoes from something in the way into `out`, one for each column."""
+    n, length = out.size, sensor.short_length
+    for i in range(n):
+        draft[i] = -max(min(expected[i], sensor.max_range), _LEAST_ROOM) / length
+    exp_into(draft, 0.0, out)
+    for i in range(n):
+        out[i] = length * (1.0 - out[i])
+        draft[i] = -z[i] / length
+    exp_into(draft, 0.0, draft)
+    for i in range(n):
+        room = max(min(expected[i], sensor.max_range), _LEAST_ROOM)
+        out[i] = draft[i] / out[i] if (z[i] > 0.0) & (z[i] < room) else 0.0
 
 
 @kernel
 def _is_mixture(sensor, beam):
     weight = abs(sensor.outlier_weight[beam]) + sensor.no_echo_weight[beam] + sensor.short_weight[beam]
     weight += sensor.specular_weight[beam] + sensor.talk_weight[beam]
-    return weight != 0.0 or any_nonzero(sensor.obstacles[:, 3])
+    return weight != 0.0
+
+
+@kernel
+def _meets_obstacle(sensor, beam, inverse, scratch):
+    """Return whether any ray of a beam, cast before, meets an obstacle before its wall."""
+    met, own = False, scratch[_CASTING + sensor.wall_start.size :]
+    lengths = own[_SUM]
+    for k in range(sensor.obstacles.shape[0]):
+        if sensor.obstacles[k, 3] != 0.0:
+            _obstacle_lengths(sensor, k, beam, own[_POSE : _POSE + 3], scratch[5], scratch[6], lengths)
+            for i in range(lengths.size):
+                met |= lengths[i] * inverse[i] < 1.0
+    return met
 
 
 @kernel
@@ -260,16 +312,19 @@ def _mix(sensor, beam, first, stride, n, pose, sine, cosine_heading, own, invers
                 density = math.exp(_one_echo(sensor, z[i], centre, std[i]))
                 keep[i] *= 1.0 - weight
                 rest[i] = (1.0 - weight) * rest[i] + weight * density
+    values, draft = own[_SUM], own[_DRAFT]
     if sensor.specular_weight[beam] != 0.0:
+        _reflected(sensor, beam, cosine, values, draft)
         for i in range(n):
-            weight = _reflected(sensor, beam, cosine[i])
+            weight = values[i]
             keep[i] *= 1.0 - weight
             rest[i] = (1.0 - weight) * rest[i] + weight * _detour_density(sensor, z[i], expected[i])
     short, nothing, wild = sensor.short_weight[beam], sensor.no_echo_weight[beam], sensor.outlier_weight[beam]
     if short != 0.0:
+        _short_densities(sensor, z, expected, values, draft)
         for i in range(n):
             keep[i] *= 1.0 - short
-            rest[i] = (1.0 - short) * rest[i] + short * _short_density(sensor, z[i], expected[i])
+            rest[i] = (1.0 - short) * rest[i] + short * values[i]
     for i in range(n):
         rest[i] = (1.0 - nothing) * rest[i] + (nothing if z[i] >= longest else 0.0)
         rest[i] = (1.0 - wild) * rest[i] + (wild / longest if 0.0 < z[i] < longest else 0.0)
@@ -285,7 +340,7 @@ def _one_echo(sensor, z, centre, std):
 
 @kernel
 def _is_plain(sensor, beam):
-    """Return whether the echoes of a beam are all that it reads, with one standard deviation for a whole row."""
+    """Return whether echoes off walls are all that a beam reads (but for obstacles), a row with one deviation."""
     uneven = sensor.growth[beam] != 0.0 or sensor.correlation[beam] != 0.0
     return not (uneven or sensor.tail != 0.0 or sensor.step != 0.0 or _is_mixture(sensor, beam))
 
@@ -315,15 +370,21 @@ def _add_beam(sensor, beam, first, stride, logp, scratch):
     _expect(sensor, beam, first, stride, n, previous_inverses[beam], own, inverses[beam])
     z, echo, keep, rest, mixed, draft = own[_Z], own[_ECHO], own[_KEEP], own[_REST], own[_SUM], own[_DRAFT]
     _echo_into(sensor, n, z, own[_CENTRE], own[_WIDTH], echo)
-    if not _is_mixture(sensor, beam):
+    if not (_is_mixture(sensor, beam) or _meets_obstacle(sensor, beam, inverses[beam], scratch)):
         for i in range(n):
             logp[i] += 0.0 if math.isnan(z[i]) else echo[i]
         return
     _mix(sensor, beam, first, stride, n, pose, scratch[5], scratch[6], own, inverses, cosines[beam])
     exp_into(echo, 0.0, mixed)
+    ordinary = True
     for i in range(n):
         mixed[i] = keep[i] * mixed[i] + rest[i]
+        ordinary &= mixed[i] > _TINY
     log_into(mixed, draft)
+    if ordinary:
+        for i in range(n):
+            logp[i] += draft[i]
+        return
     for i in range(n):
         if math.isnan(z[i]):
             continue
@@ -364,8 +425,10 @@ def _cast_all(sensor, first, stride, previous, current, scratch):
 def _add_readings(sensor, first, stride, previous, current, logp, scratch):
     """Add the log densities of all beams."""
     _cast_all(sensor, first, stride, previous, current, scratch)
+    lengths = _CASTING + sensor.wall_start.size + _OWN
     for beam in range(sensor.reading.shape[1]):
-        if stride == 0 and 0.0 < sensor.reading[first, beam] < sensor.max_range and _is_plain(sensor, beam):
+        plain = stride == 0 and 0.0 < sensor.reading[first, beam] < sensor.max_range and _is_plain(sensor, beam)
+        if plain and not _meets_obstacle(sensor, beam, scratch[lengths + beam], scratch):
             _add_plain_beam(sensor, beam, first, logp, scratch)
         elif stride > 0 or not math.isnan(sensor.reading[first, beam]):
             _add_beam(sensor, beam, first, stride, logp, scratch)
@@ -463,8 +526,10 @@ def _mix_below(sensor, beam, t, z, low, high, scratch):
                 below, upto = _echo_below(sensor, z, min(sensor.scale[beam] * lengths[i] + shift, far), std[i])
                 low[i], high[i] = low[i] + weight * (below - low[i]), high[i] + weight * (upto - high[i])
     if sensor.specular_weight[beam] != 0.0:
+        weights = own[_SUM]
+        _reflected(sensor, beam, cosine, weights, own[_DRAFT])
         for i in range(n):
-            weight, begins = _reflected(sensor, beam, cosine[i]), max(expected[i], 0.0)
+            weight, begins = weights[i], max(expected[i], 0.0)
             below = min(max((z - begins) / (longest - begins), 0.0), 1.0) if begins < longest else 0.0
             below = 0.0 if longest - begins <= _LEAST_DETOUR * longest else below
             low[i] += weight * (below - low[i])
@@ -495,7 +560,7 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     begin = _CASTING + sensor.wall_start.size
     own = scratch[begin : begin + _OWN]
     _echoes_below(sensor, z, own[_CENTRE], own[_WIDTH], own[_DRAFT], low, high)
-    if _is_mixture(sensor, beam):
+    if _is_mixture(sensor, beam) or any_nonzero(sensor.obstacles[:, 3]):
         _mix_below(sensor, beam, t, z, low, high, scratch)
     return True
 
@@ -514,3 +579,46 @@ def _linear_information(sensor, geometry, t, precision, shift):
         add_information(
             jacobian, k, scale, geometry.weight[k] / variance, geometry.reading[k] - expected, precision, shift
         )  # fmt: skip
+
+
+@entry
+def rays_along(sensor, columns):
+    """Return 1 / length of every beam along trajectories `columns` (M, D, T), as (M, B, T), without any delay."""
+    n_paths, n_steps, n_beams = columns.shape[0], columns.shape[2], sensor.reading.shape[1]
+    inverses = np.empty((n_paths, n_beams, n_steps))
+    scratch = np.empty((scratch_rows(sensor) + 3, n_steps))
+    own = scratch[_CASTING + sensor.wall_start.size :]
+    cosines = scratch[_CASTING + sensor.wall_start.size + _OWN :]
+    for k in range(n_paths):
+        _cast_beams(sensor, columns[k, :3], -1, False, scratch, own, inverses[k], cosines)
+    return inverses
+
+
+@entry
+def terms_given_rays(sensor, columns, inverses, which):
+    """Return the log densities of readings along trajectories `columns` (M, D, T), as (M, T).
+
+    Beam b has the rays ``inverses[:, which[b]]`` of :func:`rays_along`: tables that change neither how beams run nor
+    the map, without delay or specular reflections, share their rays.
+    """
+    n_paths, n_steps, n_beams = columns.shape[0], columns.shape[2], sensor.reading.shape[1]
+    logp = np.zeros((n_paths, n_steps))
+    scratch = np.empty((scratch_rows(sensor) + 3, n_steps))
+    begin = _CASTING + sensor.wall_start.size
+    own, rays = scratch[begin:], scratch[begin + _OWN :]
+    memory = any_nonzero(sensor.correlation)
+    for k in range(n_paths):
+        sincos_into(columns[k, 2], scratch[5], scratch[6])
+        for d in range(3):
+            for t in range(n_steps):
+                own[_POSE + d, t] = columns[k, d, t]
+        for beam in range(n_beams):
+            for t in range(n_steps):
+                rays[beam, t] = inverses[k, which[beam], t]
+            if memory:
+                # The row before is where the trajectory was then; the first row has none, and is not looked at.
+                for t in range(n_steps):
+                    rays[2 * n_beams + beam, t] = rays[beam, max(t - 1, 0)]
+        for beam in range(n_beams):
+            _add_beam(sensor, beam, 0, 1, logp[k], scratch)
+    return logp
