@@ -7,7 +7,7 @@ models in turn; the one it ends with is calibrated by several long chains (:func
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -109,6 +109,7 @@ def quick_fit(
     *,
     theta: Float | None = None,
     path: Float | None = None,
+    draws: Float | None = None,
     effort: Effort = THOROUGH,
 ) -> Fit:
     """Calibrate a model on one log by a single short chain.
@@ -124,6 +125,10 @@ def quick_fit(
     path : ndarray, shape (T, D), optional
         A trajectory to start from; drawn by a filter when left out. Components that the model lacks are left out,
         those that it has besides start at zero.
+    draws : ndarray, shape (N, d), optional
+        What an earlier fit of the same model drew, of these rows or others, when there is a path as well. The chain
+        goes on from there: they tune its first moves, it does not settle, and of the rounds of tuning only the last is
+        made.
     effort : Effort
         How long the chain is; while it is still on its way at the end, up to three times as many draws are made and
         only the last of them kept.
@@ -142,30 +147,37 @@ def quick_fit(
     rng = make_rng(np.random.SeedSequence(seed))
     transform = Unconstrained(bound.parameters)
     if theta is None:
-        theta = _plausible_start(bound, rng)
+        theta = _plausible_start(bound, rng) if draws is None else draws.mean(axis=0)
     particles = effort.particles
     # Parameters without statistics cost a density for each proposal, and transport moves change them as well.
     metropolis = 2 if bound.effects else 5
     if path is None:
         path = np.zeros((bound.lengths[0], state_dimension(bound)))
         sweep_path(bound.tables(theta)[0], path, len(path), _START_PARTICLES, rng, "smoothing")
-        settings = SweepSettings("smoothing", 10 * particles, 2 * metropolis, 0, 1, 0, _GAIN)
+        settings, draws = SweepSettings("smoothing", 10 * particles, 2 * metropolis, 0, 1, 0, _GAIN), None
     else:
         if len(path) != bound.lengths[0]:
             raise ModelError(f"expected a path of {bound.lengths[0]} rows to start from, but got {len(path)}")
         path = _of_size(path, state_dimension(bound))
         settings = SweepSettings("conditional", particles, 2 * metropolis, 0, 1, 0, _GAIN)
-    state = _state(bound, theta, path)
+    state = _state(bound, theta, path, draws)
     transport: Transport | None = None
+    if draws is None:
+        plans = [(effort.settling, settings)]
+        rounds = effort.rounds
+    else:
+        plans, rounds = [], effort.rounds[-1:]
+        transport = _tuned(bound, transform, draws, path)
+    tuning = SweepSettings("conditional", particles, metropolis, 6, 1, 0, _GAIN)
+    plans += [(n, tuning) for n in rounds] + [(effort.draws, replace(tuning, gain=0.0))] * (1 + _CONTINUED)
     kept: list[ChainState] = []
-    plans = [(effort.settling, settings)]
-    plans += [(n, SweepSettings("conditional", particles, metropolis, 6, 1, 0, _GAIN)) for n in effort.rounds]
-    plans += (1 + _CONTINUED) * [(effort.draws, SweepSettings("conditional", particles, metropolis, 6))]
     for number, (length, settings) in enumerate(plans):
-        if number > len(effort.rounds) + 1 and not _on_its_way(kept):
+        if number > len(plans) - 1 - _CONTINUED and not _on_its_way(kept):
             break
-        if number:
-            transport = _tuned(bound, transform, kept[len(kept) // 3 :], number)
+        if kept:
+            later = kept[len(kept) // 3 :]
+            thetas, reference = np.array([one.theta for one in later]), np.mean([one.path for one in later], axis=0)
+            transport = _tuned(bound, transform, thetas, reference, blind=number == 1 and draws is None)
         kept = []
         for _ in range(length):
             state = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
@@ -208,24 +220,25 @@ def _of_size(path: Float, size: int) -> Float:
     return np.hstack([path, np.zeros((path.shape[0], size - path.shape[1]))])
 
 
-def _state(bound: BoundModel, theta: Float, path: Float) -> ChainState:
+def _state(bound: BoundModel, theta: Float, path: Float, draws: Float | None) -> ChainState:
+    """Return a first state; steps are a fifth of each parameter, or as wide as earlier draws scatter."""
     d = theta.size
-    log_step = np.log(np.maximum(0.2 * np.abs(theta), 1e-6))
+    log_step = np.log(np.maximum(0.2 * np.abs(theta) if draws is None else draws.std(axis=0), 1e-6))
     return ChainState(
         theta.copy(), 0.0, path.copy(), log_step, 0.0, bound.lengths[0], np.zeros(d), *(math.nan,) * 3, 0.0, 0.0, 1.0, 0
     )
 
 
-def _tuned(bound: BoundModel, transform: Unconstrained, kept: list[ChainState], number: int) -> Transport | None:
-    """Linearise at the mean of some states, with proposals as wide as they scatter."""
-    thetas = np.array([one.theta for one in kept])
+def _tuned(
+    bound: BoundModel, transform: Unconstrained, thetas: Float, reference: Float, *, blind: bool = False
+) -> Transport | None:
+    """Linearise at the mean of some draws (N, d); with proposals as wide as these scatter, unless `blind`."""
     d = thetas.shape[1]
-    if number == 1:
+    if blind:
         proposal = Proposal(_FIRST_PROPOSAL * np.eye(d))
     else:
         u = transform.to_line(thetas)
         covariance = np.atleast_2d(np.cov(u.T)) + 1e-8 * np.eye(d)
         root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         proposal = Proposal(2.38 / math.sqrt(d) * root, u.mean(axis=0), math.sqrt(1.2) * root)
-    reference = np.mean([one.path for one in kept], axis=0)
     return linearised_at(bound, thetas.mean(axis=0), [reference], proposal)

@@ -151,7 +151,7 @@ class Search:
         """Fit the model of a pass on the fit part; gaps are always those of held-out data."""
         return trial_of_base(
             last.fit.bound.model, self.log, self.split, seed=self.settings.seed + 100,
-            particles=self.settings.comparing, theta=last.fit.theta, path=last.fit.path,
+            particles=self.settings.comparing, theta=last.fit.theta, path=last.fit.path, draws=last.fit.draws,
         )  # fmt: skip
 
     def told(self, last: Pass) -> tuple[Trial, FoundEffect] | None:
@@ -286,8 +286,9 @@ class Search:
         trials: list[Trial] = []
         try:
             current = trial_of_base(
-                fit.bound.model, self.log, split, seed=seed, particles=particles, theta=fit.theta, path=fit.path
-            )
+                fit.bound.model, self.log, split, seed=seed, particles=particles, theta=fit.theta, path=fit.path,
+                draws=fit.draws,
+            )  # fmt: skip
         except FilterError:
             return None
         self.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
@@ -303,7 +304,7 @@ class Search:
             for trial in sorted(confirmed, key=lambda one: -one.merit)[:_FOLLOWED]:
                 bound = trial.model.bind(self.log)
                 try:
-                    follow(quick_fit(bound, seed, theta=trial.fit.theta, path=fit.path))
+                    follow(quick_fit(bound, seed, theta=trial.fit.theta, path=fit.path, draws=trial.fit.draws))
                 except FilterError:
                     continue
                 return trial, trials

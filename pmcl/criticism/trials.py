@@ -129,7 +129,10 @@ def refitted(
     """
     bound = trial.model.bind(log)
     try:
-        fitted = quick_fit(bound.restricted(split), seed, theta=trial.fit.theta, path=trial.fit.path, effort=effort)
+        made = trial.fit
+        fitted = quick_fit(
+            bound.restricted(split), seed, theta=made.theta, path=made.path, draws=made.draws, effort=effort
+        )
         longer = replace(trial, fit=fitted, thorough=effort == THOROUGH)
         return scored_anew(longer, current, log, split, seed=seed, particles=particles)
     except PmclError as error:
@@ -150,11 +153,19 @@ def _gains(new: Float, old: Float, split: int) -> list[Gain]:
 
 
 def trial_of_base(
-    model: RobotModel, log: RobotLog, split: int, *, seed: int, particles: int, theta: Float, path: Float
+    model: RobotModel,
+    log: RobotLog,
+    split: int,
+    *,
+    seed: int,
+    particles: int,
+    theta: Float,
+    path: Float,
+    draws: Float | None = None,
 ) -> Trial:
-    """Fit a model as it is on the fit part, from the fit of the whole log, and score all rows."""
+    """Fit a model as it is on the fit part, from what a fit of the whole log found, and score all rows."""
     bound = model.bind(log)
-    fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split])
+    fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split], draws=draws)
     rows = row_scores(bound, fitted.theta, particles=particles, seed=seed)
     nothing = Gain(0.0, 0.0)
     return Trial(None, model, fitted, rows, 0.0, nothing, nothing, nothing, particles)

@@ -260,7 +260,8 @@ class _Loop:
         """Fit the new model to the whole log, and criticise it in its turn."""
         seed = self.settings.seed + number + 1
         bound = current.model.bind(self.log)
-        return self.search.criticised(quick_fit(bound, seed, theta=current.fit.theta, path=last.fit.path))
+        made = current.fit
+        return self.search.criticised(quick_fit(bound, seed, theta=made.theta, path=last.fit.path, draws=made.draws))
 
     def _without_spare(self, accepted: Trial) -> Trial:
         """Drop effects that the newest one makes superfluous: an early alias must not stay."""
@@ -305,7 +306,9 @@ class _Loop:
         elif self.found:
             seed = self.settings.seed + 200
             after = estimates(
-                quick_fit(last.fit.bound, seed, theta=last.fit.theta, path=last.fit.path, effort=LONG)
+                quick_fit(
+                    last.fit.bound, seed, theta=last.fit.theta, path=last.fit.path, draws=last.fit.draws, effort=LONG
+                )
             )
         added = model.named_effects[len(self.base.effects) :]
         found = tuple(measured(one, effect, after, model.fixed) for one, effect in zip(self.found, added, strict=True))

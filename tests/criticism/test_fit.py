@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmcl.criticism.fit import THOROUGH, quick_fit
+from pmcl.criticism import fit
+from pmcl.criticism.fit import BRIEF, THOROUGH, quick_fit
 from pmcl.errors import ModelError
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
@@ -68,6 +69,23 @@ def test_a_component_that_the_path_lacks_starts_at_zero():
     found = quick_fit(bound, 1, theta=theta, path=path, effort=THOROUGH._replace(draws=20))
     assert found.path.shape == (60, 4)
     assert np.ptp(found.path[:, 3]) > 0.0
+
+
+def test_a_fit_that_goes_on_from_draws_finds_the_same_in_fewer_sweeps(log, monkeypatch):
+    swept = []
+    step = fit.step
+    monkeypatch.setattr(fit, "step", lambda *given: swept.append(1) or step(*given))
+    bound = default_model(log).bind(log)
+    before = quick_fit(bound, 1, effort=BRIEF)
+    swept.clear()
+    long = THOROUGH._replace(draws=400)
+    afresh = quick_fit(bound, 2, theta=before.theta, path=before.path, effort=long)
+    whole, _ = len(swept), swept.clear()
+    going_on = quick_fit(bound, 3, path=before.path, draws=before.draws, effort=long)
+    assert whole - len(swept) == THOROUGH.settling + sum(THOROUGH.rounds[:-1])
+    # Effective sample sizes of some tens: means within a standard deviation's half, widths within their third.
+    np.testing.assert_array_less(np.abs(going_on.theta - afresh.theta), 0.5 * afresh.std)
+    np.testing.assert_allclose(going_on.std, afresh.std, rtol=0.35)
 
 
 @pytest.mark.parametrize("rows", [60, 180])

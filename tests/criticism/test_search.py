@@ -104,7 +104,7 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
         gain = Gain(total, 5.0)
         rows = total / log.n_steps + 0.01 * rng.standard_normal(log.n_steps)
         model = SimpleNamespace(bind=lambda log: name)
-        fit = SimpleNamespace(theta=None)
+        fit = SimpleNamespace(theta=None, draws=None)
         return Trial(effect_named(name, log), model, fit, rows, 0.0, gain, gain, gain)
 
     def follow(fit):
