@@ -67,7 +67,7 @@ def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.rand
     dataset["odometry"].values[1:] += correction[1:]
     for sensor in tables.sensors:
         store_readings(simulate_readings(sensor, path, rng), dataset)
-    return RobotLog(dataset, f"{log.where} (simulated)")
+    return RobotLog.trusted(dataset, f"{log.where} (simulated)")
 
 
 def _first(tables: Tables, reference: Float, rng: np.random.Generator) -> Float:

@@ -7,7 +7,7 @@ effect". So every effect is scored alike, also one of a user's own, and row by r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.contract import state_size
+from pmcl.filtering.kernels.rich_ranges import rays_along, terms_given_rays
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams, WanderingMotion, rich_beams, rich_landmarks
@@ -131,7 +132,7 @@ def effect_rows(tables: Tables, log: RobotLog, columns: Float, wanted: Sequence[
         the trajectories. Cost: K times two densities of M paths, of the tables that the effect edits only.
     """
     rows = np.zeros((len(wanted), columns.shape[2]))
-    terms = _Terms(columns)
+    terms = _Terms(columns, tables)
     for row, direction in zip(rows, wanted, strict=True):
         above = _on_the_same_states(direction.effect.edit(tables, direction.above, log), tables)
         if direction.one_sided:
@@ -150,7 +151,7 @@ def _on_the_same_states(edited: Tables, tables: Tables) -> Tables:
 def base_rows(bound: BoundModel, theta: Float, columns: Float) -> Float:
     """Score the model's own parameters along trajectories, (d, T), by differences of 2 % of each to either side."""
     rows = np.zeros((theta.size, columns.shape[2]))
-    terms = _Terms(columns)
+    terms = _Terms(columns, bound.tables(theta)[0])
     spread = np.array([min(float(p.prior.std()), 1.0) for p in bound.parameters])
     step = _BASE_SIZE * np.maximum(np.abs(theta), 0.1 * spread)
     for k, row in enumerate(rows):
@@ -230,33 +231,67 @@ def _bounded(above: Float, below: Float) -> Float:
     return np.asarray(np.where(np.isnan(change), 0.0, change).mean(axis=0))
 
 
-class _Terms:
-    """Log densities of trajectories under tables, evaluated once for each table."""
+class _Rays:
+    """The rays of a table of beams along trajectories, cast once for all tables that leave them as they are."""
 
-    def __init__(self, columns: Float) -> None:
+    def __init__(self, beams: _Beams, columns: Float) -> None:
+        self.columns, self.beams = columns, rich_beams(beams)
+        self.position = {key: k for k, key in enumerate(self._keys(self.beams))}
+        self.cast: Float | None = None
+
+    def terms(self, beams: _Beams) -> Float | None:
+        """Return log densities (M, T) of readings; None when the table has rays of its own."""
+        sensor, mine = rich_beams(beams), self.beams
+        if any(getattr(sensor, name) is not getattr(mine, name) for name in ("vertices", "wall_start", "wall_stop")):
+            return None
+        if sensor.lag.any() or sensor.specular_weight.any():
+            return None
+        which = [self.position.get(key, -1) for key in self._keys(sensor)]
+        if min(which) < 0:
+            return None
+        if self.cast is None:
+            self.cast = rays_along(mine._replace(lag=np.zeros_like(mine.lag)), self.columns)
+        return np.asarray(terms_given_rays(sensor, self.columns, self.cast, np.array(which, dtype=np.int64)))
+
+    @staticmethod
+    def _keys(beams: RichRangeBeams) -> list[tuple[float, ...]]:
+        return [(*pose, width) for pose, width in zip(beams.beam_pose.tolist(), beams.width.tolist(), strict=True)]
+
+
+class _Terms:
+    """Log densities of trajectories under tables, evaluated once for each table; most are like those given."""
+
+    def __init__(self, columns: Float, tables: Tables) -> None:
         self.columns = columns
         self.known: dict[int, tuple[Any, Float]] = {}
+        self.rays = [_Rays(one, columns) if isinstance(one, _BEAMS) else None for one in tables.sensors]
 
     def difference(self, above: Tables, below: Tables, row: Float) -> None:
         """Add the change of each row's density from one set of tables to another; equal tables are skipped."""
         if above.motion is not below.motion or above.start is not below.start:
             row += _bounded(self._motion(above), self._motion(below))
-        for one, other in zip(above.sensors, below.sensors, strict=True):
+        for one, other, rays in zip(above.sensors, below.sensors, self.rays, strict=True):
             if one is other:
                 continue
             if isinstance(one, _BEAMS) and isinstance(other, _BEAMS):
                 one, other = _differing_beams(one, other)
+                if one.reading.shape[1] == 0:
+                    continue
             elif isinstance(one, _SIGHTINGS) and isinstance(other, _SIGHTINGS):
                 one, other = _differing_sightings(one, other)
-            row += _bounded(self._sensor(one), self._sensor(other))
+            row += _bounded(self._sensor(one, rays), self._sensor(other, rays))
 
     def _motion(self, tables: Tables) -> Float:
         return self._once(tables.motion, lambda: smc.motion_terms(tables.start, tables.motion, self.columns))
 
-    def _sensor(self, sensor: Any) -> Float:
-        return self._once(sensor, lambda: smc.sensor_terms(sensor, self.columns))
+    def _sensor(self, sensor: Any, rays: _Rays | None) -> Float:
+        def evaluate() -> Float:
+            terms = rays.terms(sensor) if rays is not None and isinstance(sensor, _BEAMS) else None
+            return np.asarray(smc.sensor_terms(sensor, self.columns)) if terms is None else terms
 
-    def _once(self, table: Any, evaluate: Any) -> Float:
+        return self._once(sensor, evaluate)
+
+    def _once(self, table: Any, evaluate: Callable[[], Float]) -> Float:
         # The table is kept with its value, so that its identity cannot pass to another one. Edited tables are not
         # met twice; only the plain ones are worth remembering.
         key = id(table)

@@ -10,6 +10,7 @@ from pmcl.criticism.covariates import incidence
 from pmcl.criticism.replicate import replicated_log
 from pmcl.filtering.kernels.steering import steered_path
 from pmcl.filtering.particle_filter import make_rng
+from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motion import increment_residuals
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot
@@ -46,6 +47,18 @@ def test_same_drive_and_the_same_readings_missing(log):
     correction = (made.odometry - log.odometry)[1:]
     assert np.all(correction.std(axis=0) < theta[:3])
     assert made.true_poses is None
+
+
+@pytest.mark.parametrize("noise", [1.0, 20.0])
+def test_a_simulated_log_would_pass_the_checks_that_it_is_spared(log, noise):
+    bound = default_model(log).bind(log)
+    theta = np.array([log.true_theta[name] for name in bound.names])
+    theta[3:] *= noise
+    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))
+    checked = RobotLog.from_dataset(made.dataset)
+    assert checked.fingerprint() == made.fingerprint()
+    assert list(checked.dataset.variables) == list(made.dataset.variables)
+    assert not made.odometry.flags.writeable
 
 
 def test_noise_of_a_step_is_the_models_and_independent_of_its_command(log):
