@@ -59,7 +59,7 @@ class Effort(NamedTuple):
     passes: int = 2
 
 
-THOROUGH = Effort(12, (30, 40, 60), 150, 25)
+THOROUGH = Effort(12, (30, 40, 60), 150, 24)
 LONG = THOROUGH._replace(draws=300)
 """For intervals: the standard deviation of a chain of 150 may come out at half of what it is."""
 BRIEF = Effort(6, (12, 24), 60, 16)

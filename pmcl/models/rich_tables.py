@@ -7,6 +7,7 @@ beams, N of sightings, J of landmarks.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -286,9 +287,14 @@ def rich_beams(beams: RangeBeams | RichRangeBeams) -> RichRangeBeams:
 
 def ring_neighbours(beam_pose: Float) -> Int:
     """Return the beams to the left and right of each one by direction, (B, 2); a single beam is its own neighbour."""
-    order = np.argsort(np.mod(beam_pose[:, 2], 2.0 * np.pi), kind="stable")
+    # Tables are made for each proposal, and beams hardly ever move.
+    return _neighbours_by_direction(tuple(beam_pose[:, 2].tolist())).copy()
+
+
+@functools.lru_cache(maxsize=64)
+def _neighbours_by_direction(directions: tuple[float, ...]) -> Int:
+    order = np.argsort(np.mod(directions, 2.0 * np.pi), kind="stable")
     neighbours = np.empty((order.size, 2), dtype=np.int64)
-    # np.roll takes longer than all the rest of a table, and tables are made for each proposal.
     neighbours[order[:-1], 0], neighbours[order[-1], 0] = order[1:], order[0]
     neighbours[order[1:], 1], neighbours[order[0], 1] = order[:-1], order[-1]
     return neighbours

@@ -133,13 +133,26 @@ def _awkward_echo(sensor, z, centre, std):
 
 
 @kernel
-def _echo_into(sensor, n, z, centre, std, out):
-    """Write the log density of echoes around `centre` with scale `std` into ``out[:n]``; NaN where `z` is NaN."""
+def _echo_into(sensor, n, z, centre, std, even, draft, out):
+    """Write the log density of echoes around `centre` with scale `std` into ``out[:n]``; NaN where `z` is NaN.
+
+    `even` says that `std` is one number; `draft` is work space.
+    """
     tail, constant = sensor.tail, student_constant(sensor.tail)
-    log_into(std, out)
+    if even:
+        level = math.log(std[0])
+        for i in range(n):
+            out[i] = level
+    else:
+        log_into(std, out)
     if tail > 0.0:
         for i in range(n):
-            out[i] = student_logpdf((z[i] - centre[i]) / std[i], tail, constant) - out[i]
+            r = (z[i] - centre[i]) / std[i]
+            draft[i] = 1.0 + tail * r * r
+        log_into(draft, draft)
+        power = 0.5 * (1.0 / tail + 1.0)
+        for i in range(n):
+            out[i] = constant - power * draft[i] - out[i]
     else:
         for i in range(n):
             r = (z[i] - centre[i]) / std[i]
@@ -235,19 +248,23 @@ def _detour_density(sensor, z, expected):
 
 
 @kernel
-def _short_densities(sensor, z, expected, out, draft):
+def _short_densities(sensor, stride, z, expected, out, draft):
     """Write the density of echoes from something in the way into `out`, one for each column."""
     n, length = out.size, sensor.short_length
     for i in range(n):
         draft[i] = -max(min(expected[i], sensor.max_range), _LEAST_ROOM) / length
     exp_into(draft, 0.0, out)
-    for i in range(n):
-        out[i] = length * (1.0 - out[i])
-        draft[i] = -z[i] / length
-    exp_into(draft, 0.0, draft)
+    if stride == 0:
+        decay = math.exp(-z[0] / length)
+        for i in range(n):
+            draft[i] = decay
+    else:
+        for i in range(n):
+            draft[i] = -z[i] / length
+        exp_into(draft, 0.0, draft)
     for i in range(n):
         room = max(min(expected[i], sensor.max_range), _LEAST_ROOM)
-        out[i] = draft[i] / out[i] if (z[i] > 0.0) & (z[i] < room) else 0.0
+        out[i] = draft[i] / (length * (1.0 - out[i])) if (z[i] > 0.0) & (z[i] < room) else 0.0
 
 
 @kernel
@@ -278,7 +295,8 @@ def _other_echo(sensor, beam, first, stride, n, lengths_inverse, own, weight):
     for i in range(n):
         shift = sensor.bias[beam] + sensor.bias_at[first + stride * i, beam]
         centre[i] = min(sensor.scale[beam] / lengths_inverse[i] + shift, far)
-    _echo_into(sensor, n, z, centre, std, out)
+    even = stride == 0 and sensor.growth[beam] == 0.0
+    _echo_into(sensor, n, z, centre, std, even, own[_DRAFT], out)
     exp_into(out, 0.0, centre)
     for i in range(n):
         keep[i] *= 1.0 - weight
@@ -321,7 +339,7 @@ def _mix(sensor, beam, first, stride, n, pose, sine, cosine_heading, own, invers
             rest[i] = (1.0 - weight) * rest[i] + weight * _detour_density(sensor, z[i], expected[i])
     short, nothing, wild = sensor.short_weight[beam], sensor.no_echo_weight[beam], sensor.outlier_weight[beam]
     if short != 0.0:
-        _short_densities(sensor, z, expected, values, draft)
+        _short_densities(sensor, stride, z, expected, values, draft)
         for i in range(n):
             keep[i] *= 1.0 - short
             rest[i] = (1.0 - short) * rest[i] + short * values[i]
@@ -369,7 +387,8 @@ def _add_beam(sensor, beam, first, stride, logp, scratch):
     pose = own[_POSE : _POSE + 3]
     _expect(sensor, beam, first, stride, n, previous_inverses[beam], own, inverses[beam])
     z, echo, keep, rest, mixed, draft = own[_Z], own[_ECHO], own[_KEEP], own[_REST], own[_SUM], own[_DRAFT]
-    _echo_into(sensor, n, z, own[_CENTRE], own[_WIDTH], echo)
+    even = stride == 0 and sensor.growth[beam] == 0.0 and sensor.correlation[beam] == 0.0
+    _echo_into(sensor, n, z, own[_CENTRE], own[_WIDTH], even, draft, echo)
     if not (_is_mixture(sensor, beam) or _meets_obstacle(sensor, beam, inverses[beam], scratch)):
         for i in range(n):
             logp[i] += 0.0 if math.isnan(z[i]) else echo[i]

@@ -107,8 +107,10 @@ def _change_sensors(
     return tables._replace(sensors=tuple(sensors))
 
 
-def settled(tables: Any, name: str) -> Tables:
+def settled(tables: Any, before: Tables, name: str) -> Tables:
     """Return tables whose arrays are all contiguous and writable, for which kernels are compiled once and for all.
+
+    What effect `name` left as it was `before` is so already.
 
     Raises
     ------
@@ -120,14 +122,18 @@ def settled(tables: Any, name: str) -> Tables:
             f"effect {name}: expected its change to return Tables, but got {type(tables).__name__}; "
             "return tables._replace(...)"
         )
-    sensors = tuple(_settled(sensor) for sensor in tables.sensors)
-    return Tables(_settled(tables.start), _settled(tables.motion), sensors)
+    known = {id(table) for table in (before.start, before.motion, *before.sensors)}
+    start, motion, *sensors = (
+        table if id(table) in known else _settled(table) for table in (tables.start, tables.motion, *tables.sensors)
+    )
+    return Tables(start, motion, tuple(sensors))
 
 
 def _settled(table: NamedTuple) -> Any:
+    # `carray` is contiguous, aligned and writable at once: tables are settled for each proposal.
     awkward = {
         name: np.array(value, dtype=np.int64 if value.dtype.kind in "iu" else np.float64, order="C")
         for name, value in zip(table._fields, table, strict=True)
-        if isinstance(value, np.ndarray) and not (value.flags.c_contiguous and value.flags.writeable)
+        if isinstance(value, np.ndarray) and not value.flags.carray
     }
     return table._replace(**awkward) if awkward else table

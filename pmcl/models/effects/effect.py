@@ -175,7 +175,7 @@ class Effect:
         ModelError
             When the tables are not of a kind that the effect can edit.
         """
-        return settled(self.change(tables, np.asarray(values, dtype=float), log, self.where), self.name)
+        return settled(self.change(tables, np.asarray(values, dtype=float), log, self.where), tables, self.name)
 
     def applies(self, log: RobotLog) -> bool:
         """Return whether a log can show the effect: it has the readings or the motion that the effect is about."""
