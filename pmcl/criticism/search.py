@@ -185,6 +185,8 @@ class Search:
         current, trials = self._beyond_chance(current, self._settled(current, trials), last.judgement.critical_z)
         best, _ = choose(trials)
         if best is not None and worth_it(best, last.judgement.critical_z):
+            if everywhere and _explains_too_little(best, last.judgement):
+                return self._elsewhere(last, current, trials)
             return self._beside_rules(last, current, trials, self._rules(last, current, best))
         # What comes too late for the fit part is looked for on a longer one, not among all that is left.
         if not everywhere or last.judgement.p_value > WORTH_A_FORMULA or self.comes_late(last):
@@ -420,6 +422,15 @@ class Search:
 
 def _replaced(trials: list[Trial], old: list[Trial], new: list[Trial]) -> list[Trial]:
     return [next((n for n, one in zip(new, old, strict=True) if one is trial), trial) for trial in trials]
+
+
+def _explains_too_little(best: Trial, judgement: Judgement) -> bool:
+    """Return whether a model gains less than what an alarm tells must be missing.
+
+    A number that deviates by z standard errors costs a model at least z^2 / 2 nats. What gains less than that, of many
+    that were tried, may be the luckiest of those that are next to what is wrong.
+    """
+    return best.on_all.total < max((0.5 * alarm.z**2 for alarm in judgement.raised), default=0.0)
 
 
 def _readings(log: RobotLog, rows: slice) -> int:

@@ -89,6 +89,31 @@ def test_only_the_likeliest_are_refitted_where_not_everything_is_to_be_searched(
     assert one.named(SimpleNamespace(judgement=judgement), current) == Outcome(None, None, [])
 
 
+@pytest.mark.parametrize(("z", "everywhere", "expected"), [
+    (5.0, True, "accepted"), (9.0, True, "found elsewhere"), (9.0, False, "accepted"),
+])  # fmt: skip
+def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(monkeypatch, z, everywhere, expected):
+    """30 nats are more than 5^2 / 2, and less than 9^2 / 2."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    settings = Settings(
+        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
+    )  # fmt: skip
+    one = Search(log, (), settings)
+    one.judged = SimpleNamespace(z=np.zeros(0))
+    fit = SimpleNamespace(bound=None, theta=None)
+    current = Trial(None, None, fit, np.zeros(60), 0.0, *(3 * [Gain(0.0, 0.0)]), settings.comparing)
+    best = replace(current, effect=effect_named("odometry-arc", log), on_fit=Gain(20.0, 5.0),
+                   on_heldout=Gain(10.0, 4.0), on_all=Gain(30.0, 6.0))  # fmt: skip
+    assert best.confirmed
+    monkeypatch.setattr(one, "_tried", lambda current, chosen, *_: [best] if chosen == "likeliest" else [])
+    monkeypatch.setattr(search, "shortlist", lambda *_, **__: "likeliest")
+    monkeypatch.setattr(one, "_rules", lambda *_: None)
+    monkeypatch.setattr(one, "_beside_rules", lambda *_: "accepted")
+    monkeypatch.setattr(one, "_elsewhere", lambda *_: "found elsewhere")
+    judgement = SimpleNamespace(z=np.zeros(0), critical_z=3.0, p_value=1e-9, raised=(SimpleNamespace(z=-z),))
+    assert one.named(SimpleNamespace(judgement=judgement, fit=fit), current, everywhere) == expected
+
+
 @pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
 def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does_better(
     monkeypatch, motion, sensor, named
