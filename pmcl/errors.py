@@ -35,7 +35,15 @@ class ModelError(PmclError):
 
 
 class FilterError(PmclError):
-    """A particle filter met a density that is not a number, or lost every particle."""
+    """A particle filter met a density that is not a number, or lost every particle.
+
+    Attributes
+    ----------
+    row : int or None
+        The row at which every particle had weight zero, where that was so.
+    """
+
+    row: int | None = None
 
 
 class SamplingError(PmclError):

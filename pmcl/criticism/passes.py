@@ -16,7 +16,7 @@ from pmcl.criticism.evidence import Evidence, gather, rescored
 from pmcl.criticism.fit import Fit
 from pmcl.criticism.replicate import replicated_log
 from pmcl.criticism.scores import Direction, directions, fits
-from pmcl.errors import PmclError
+from pmcl.errors import FilterError, PmclError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -141,7 +141,16 @@ def _simulated(
         rng = make_rng(np.random.SeedSequence((settings.seed, 2, numbers[k])))
         bound = fit.bound.model.bind(replicated_log(log, fit.tables, fit.path, rng))
         seed = np.random.SeedSequence((settings.seed, 3, numbers[k]))
-        return gather(bound, fit.theta, wanted, particles=settings.particles, paths=settings.paths, seed=seed)
+        try:
+            return gather(bound, fit.theta, wanted, particles=settings.particles, paths=settings.paths, seed=seed)
+        except FilterError as error:
+            if error.row is None:
+                raise
+            raise FilterError(
+                f"{log.where}: the filter loses the robot at t={log.times[error.row]:g} s of a log that the fitted "
+                "model simulates, so nothing can be judged by such logs; use more particles, or restart with a wider "
+                "start belief"
+            ) from None
 
     return mapped(one, len(numbers), settings.workers)
 

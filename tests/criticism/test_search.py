@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism import search
+from pmcl.criticism import passes, search
 from pmcl.criticism.fit import GLANCE, quick_fit
 from pmcl.criticism.heldout import Gain
 from pmcl.criticism.naming import worth_it
@@ -169,3 +169,25 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
     assert seen == [[rule] if confirmed else []]
     assert outcome.accepted is (rule if confirmed else None)
     assert outcome.trials == [rule]
+
+
+def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):
+    log = simulate_landmark_field(60, 1, bearings=True)
+    fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
+    settings = Settings(
+        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
+    )  # fmt: skip
+    made, gather = [], passes.gather
+
+    def lost_in_the_third(bound, *given, **settings):
+        made.append(bound)
+        if len(made) < 3:
+            return gather(bound, *given, **settings)
+        error = FilterError("particle filter: at row 12 every particle has weight zero")
+        error.row = 12
+        raise error
+
+    monkeypatch.setattr(passes, "gather", lost_in_the_third)
+    with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
+        passes.criticised(log, fit, (), 36, settings)
+    assert str(caught.value).startswith(log.where)
