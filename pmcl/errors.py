@@ -43,7 +43,9 @@ class FilterError(PmclError):
         The row at which every particle had weight zero, where that was so.
     """
 
-    row: int | None = None
+    def __init__(self, message: str = "", row: int | None = None) -> None:
+        super().__init__(message)
+        self.row = row
 
 
 class SamplingError(PmclError):

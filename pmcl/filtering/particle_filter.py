@@ -69,12 +69,11 @@ class FilterPass:
 def raise_outcome(status: int, t: int, what: str) -> None:
     """Raise the FilterError that the outcome of a compiled pass stands for, if it stands for one."""
     if status == smc.ALL_ZERO:
-        lost = FilterError(
+        raise FilterError(
             f"{what}: at row {t} every particle has weight zero, so the filter has lost the robot; "
-            "use more particles, a wider start belief, or larger noise"
+            "use more particles, a wider start belief, or larger noise",
+            row=t,
         )
-        lost.row = t
-        raise lost
     if status == smc.NOT_A_NUMBER:
         raise FilterError(
             f"{what}: at row {t} a density is not a number; check the coefficient tables of the model at that row"

@@ -146,7 +146,8 @@ class Tracker:
         if lost_at >= 0:
             raise FilterError(
                 f"{what}: at row {lost_at} every particle has weight zero, so the filter has lost the robot; "
-                "use more particles, a wider start belief, recovery, or a model with outliers"
+                "use more particles, a wider start belief, recovery, or a model with outliers",
+                row=lost_at,
             )
         return beliefs
 

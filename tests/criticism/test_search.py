@@ -23,6 +23,16 @@ from pmcl.robots.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 
+SETTINGS = Settings(particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False)
+
+
+def without_candidates(log):
+    """A search that has none, and the model that it starts from."""
+    one = Search(log, (), SETTINGS)
+    one.judged = SimpleNamespace(z=np.zeros(0))
+    fit = SimpleNamespace(bound=None, theta=None)
+    return one, Trial(None, None, fit, np.zeros(60), 0.0, *(3 * [Gain(0.0, 0.0)]), SETTINGS.comparing)
+
 
 @pytest.mark.parametrize(
     ("heldout", "whole", "certain"),
@@ -51,19 +61,16 @@ def test_nothing_found_settles_nothing():
 
 def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch):
     log, nothing, splits = simulate_landmark_field(60, 1, bearings=True), Gain(0.0, 0.0), []
-    settings = Settings(
-        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
-    )  # fmt: skip
 
     def made(effect, z):
-        return Trial(effect, None, None, None, z, nothing, nothing, nothing, settings.comparing)
+        return Trial(effect, None, None, None, z, nothing, nothing, nothing, SETTINGS.comparing)
 
     def tried(current, effect, z, log, split, **settings):
         splits.append(split)
         return made(effect, z)
 
     monkeypatch.setattr(search, "try_effect", tried)
-    one, effect, current = Search(log, (), settings), effect_named("odometry-arc", log), made(None, 0.0)
+    one, effect, current = Search(log, (), SETTINGS), effect_named("odometry-arc", log), made(None, 0.0)
     for split, z in ((36, 4.0), (36, 5.0), (48, 6.0), (36, 7.0)):
         one.split = split
         (trial,) = one._tried(current, [(effect, z)])
@@ -73,13 +80,7 @@ def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch
 
 def test_only_the_likeliest_are_refitted_where_not_everything_is_to_be_searched(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
-    settings = Settings(
-        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
-    )  # fmt: skip
-    one = Search(log, (), settings)
-    one.judged = SimpleNamespace(z=np.zeros(0))
-    fit = SimpleNamespace(bound=None, theta=None)
-    current = Trial(None, None, fit, np.zeros(60), 0.0, *(3 * [Gain(0.0, 0.0)]), settings.comparing)
+    one, current = without_candidates(log)
     judgement = SimpleNamespace(z=np.zeros(0), critical_z=3.0, p_value=1e-4)
     monkeypatch.setattr(one, "_elsewhere", lambda *_: "found elsewhere")
     assert one.named(SimpleNamespace(judgement=judgement), current, False) == Outcome(None, None, [])
@@ -95,13 +96,7 @@ def test_only_the_likeliest_are_refitted_where_not_everything_is_to_be_searched(
 def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(monkeypatch, z, everywhere, expected):
     """30 nats are more than 5^2 / 2, and less than 9^2 / 2."""
     log = simulate_landmark_field(60, 1, bearings=True)
-    settings = Settings(
-        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
-    )  # fmt: skip
-    one = Search(log, (), settings)
-    one.judged = SimpleNamespace(z=np.zeros(0))
-    fit = SimpleNamespace(bound=None, theta=None)
-    current = Trial(None, None, fit, np.zeros(60), 0.0, *(3 * [Gain(0.0, 0.0)]), settings.comparing)
+    one, current = without_candidates(log)
     best = replace(current, effect=effect_named("odometry-arc", log), on_fit=Gain(20.0, 5.0),
                    on_heldout=Gain(10.0, 4.0), on_all=Gain(30.0, 6.0))  # fmt: skip
     assert best.confirmed
@@ -111,7 +106,7 @@ def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(mo
     monkeypatch.setattr(one, "_beside_rules", lambda *_: "accepted")
     monkeypatch.setattr(one, "_elsewhere", lambda *_: "found elsewhere")
     judgement = SimpleNamespace(z=np.zeros(0), critical_z=3.0, p_value=1e-9, raised=(SimpleNamespace(z=-z),))
-    assert one.named(SimpleNamespace(judgement=judgement, fit=fit), current, everywhere) == expected
+    assert one.named(SimpleNamespace(judgement=judgement), current, everywhere) == expected
 
 
 @pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
@@ -120,9 +115,6 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
 ):
     """With no effect of the motion does the filter follow here, with that of the sensors it does."""
     log, follows = simulate_landmark_field(150, 1, bearings=True), []
-    settings = Settings(
-        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
-    )  # fmt: skip
     rng = np.random.default_rng(1)
 
     def made(name, total):
@@ -142,7 +134,7 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
     base = Trial(None, None, fit, np.zeros(log.n_steps), 0.0, *(3 * [Gain(0.0, 0.0)]))
     monkeypatch.setattr(search, "trial_of_base", lambda *_, **__: base)
     monkeypatch.setattr(search, "quick_fit", lambda bound, *_, **__: bound)
-    one = Search(log, candidates(log), settings)
+    one = Search(log, candidates(log), SETTINGS)
     monkeypatch.setattr(one, "_tried", lambda *_, **__: next(found))
     monkeypatch.setattr(one, "_settled", lambda current, trials: trials)
     outcome = one.found_again(fit, follow)
@@ -153,14 +145,11 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
 @pytest.mark.parametrize("confirmed", [True, False])
 def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(monkeypatch, confirmed):
     log, seen = simulate_landmark_field(60, 1, bearings=True), []
-    settings = Settings(
-        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
-    )  # fmt: skip
     gain = Gain(40.0, 5.0)
     heldout = gain if confirmed else Gain(-5.0, 5.0)
     rows = np.zeros(log.n_steps)
     rule = Trial(effect_named("odometry-arc", log), None, None, rows, 9.0, gain, heldout, gain)
-    one, last = Search(log, (), settings), SimpleNamespace(judgement=SimpleNamespace(critical_z=3.0))
+    one, last = Search(log, (), SETTINGS), SimpleNamespace(judgement=SimpleNamespace(critical_z=3.0))
     one.judged = SimpleNamespace(z=np.zeros(0))
     monkeypatch.setattr(one, "_rules", lambda *_: search._Rules([rule], (), last.judgement, 3.0))
     monkeypatch.setattr(one, "_tried", lambda current, chosen, rivals: seen.append(rivals) or [])
@@ -174,20 +163,15 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
 def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
     fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
-    settings = Settings(
-        particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False
-    )  # fmt: skip
     made, gather = [], passes.gather
 
     def lost_in_the_third(bound, *given, **settings):
         made.append(bound)
         if len(made) < 3:
             return gather(bound, *given, **settings)
-        error = FilterError("particle filter: at row 12 every particle has weight zero")
-        error.row = 12
-        raise error
+        raise FilterError("particle filter: at row 12 every particle has weight zero", row=12)
 
     monkeypatch.setattr(passes, "gather", lost_in_the_third)
     with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
-        passes.criticised(log, fit, (), 36, settings)
+        passes.criticised(log, fit, (), 36, SETTINGS)
     assert str(caught.value).startswith(log.where)
