@@ -108,11 +108,13 @@ def criticize(
 
     Notes
     -----
-    A name is chosen on the first 60 % of the rows and must be confirmed by the rest, which alone tells the gap; where
-    what disagrees begins too late for that, these are 80 and 20 %. An alarm that is not beyond doubt is judged by three
-    times as many simulated logs, unless a name gains more than two standard errors on the held-out part, or one there
-    and two, more than chance can, on the whole log. Where the filter of the base model loses the robot, effects of the
-    motion are refitted first, then of the sensors: one that lets it follow is added.
+    A name is chosen on the first 60 % of the rows and must be confirmed by the rest, which alone tells the gap;
+    where what disagrees begins too late for that, these are 80 and 20 %. An alarm that is not beyond doubt is
+    judged by three times as many simulated logs, unless a name gains more than two standard errors on the held-out
+    part, or one there and two, more than chance can, on the whole log. A name that gains less than its alarm of z
+    standard errors is worth, z^2 / 2 nats, must be the best of a search among all effects of the whole robot and
+    formulas as well. Where the filter of the base model loses the robot, effects of the motion are refitted first,
+    then of the sensors: one that lets it follow is added.
     """
     settings = Settings(particles, seed, level, simulations, paths, workers or os.cpu_count() or 1, progress)
     log = log.without_truth()
