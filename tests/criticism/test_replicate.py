@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pmcl.criticism import replicate
 from pmcl.criticism.covariates import incidence
 from pmcl.criticism.replicate import replicated_log
+from pmcl.filtering.kernels.smc import sensor_terms
 from pmcl.filtering.kernels.steering import steered_path
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
@@ -47,6 +49,25 @@ def test_same_drive_and_the_same_readings_missing(log):
     correction = (made.odometry - log.odometry)[1:]
     assert np.all(correction.std(axis=0) < theta[:3])
     assert made.true_poses is None
+
+
+def test_the_log_holds_the_commands_that_were_followed_and_what_was_read_on_the_way(log, monkeypatch):
+    drives = []
+
+    def steered(*arguments):
+        drives.append(steered_path(*arguments))
+        return drives[-1]
+
+    monkeypatch.setattr(replicate, "steered_path", steered)
+    bound = default_model(log).bind(log)
+    theta = np.array([log.true_theta[name] for name in bound.names])
+    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))
+    ((path, correction),) = drives
+    np.testing.assert_array_equal(made.odometry[1:], log.odometry[1:] + correction[1:])
+    # The readings are those of the path that was driven: likely there, and not along the log's own.
+    sensor = default_model(log).bind(made).tables(theta)[0].sensors[0]
+    there, elsewhere = (sensor_terms(sensor, np.ascontiguousarray(one.T[None])) for one in (path, _reference(log)))
+    assert there.sum() > elsewhere.sum() + 100.0
 
 
 @pytest.mark.parametrize("noise", [1.0, 20.0])
