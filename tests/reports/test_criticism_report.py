@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
+from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
 import pytest
 
+from pmcl.criticism.result import Unexplained
 from pmcl.criticism.workflow import criticize
 from pmcl.reports import criticism_figures as figures
 from pmcl.reports.criticism_report import write_criticism_report
@@ -40,6 +43,16 @@ def test_every_figure_shows_before_and_after(found):
 
 def figures_color(patch):
     return "#" + "".join(f"{round(255 * part):02x}" for part in patch.get_facecolor()[:3])
+
+
+@pytest.mark.slow
+def test_what_remains_has_an_interval_only_where_it_depends_on_something(found, tmp_path):
+    nowhere = Unexplained("wheel-slip", (), "", "mean", (math.nan, math.nan), (380, 569), 1e-9)
+    turning = Unexplained("landmark_bearing", (2,), "|turn|", "spread", (0.15, 0.41), (5, 180), 1e-9)
+    write_criticism_report(replace(found, unexplained=(nowhere, turning)), tmp_path / "page.html")
+    first, second = (tmp_path / "page.html").read_text().partition("What remains unexplained")[2].split("<tr>")[2:4]
+    assert "<td>-</td><td>380 to 569</td>" in first
+    assert "<td>0.15 to 0.41</td><td>5 to 180</td>" in second
 
 
 @pytest.mark.slow
