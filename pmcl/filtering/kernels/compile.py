@@ -4,9 +4,9 @@ Three things numba does not do by itself:
 
 * :func:`kernel` compiles without the global interpreter lock, with division semantics of NumPy and only those
   floating-point liberties that keep NaN and infinity meaningful.
-* :func:`entry` caches compiled machine code on disk. numba looks only at the file of the function itself; the key
-  here also holds a hash of every kernel source and of every file that registers an implementation, so that
-  a stale kernel can never run.
+* :func:`entry` and :func:`kernel` keep what they compiled on disk. numba looks only at the file of the function itself;
+  :mod:`~pmcl.filtering.kernels.disk_cache` also at every kernel source and every file that registers an
+  implementation, so that a stale kernel can never run.
 * :func:`generic` makes a function of which each table type has its own implementation, chosen at compile time.
   The result is one specialised loop per model, without function pointers. Called from Python it
   runs the same implementation uncompiled, which is what the tests compare with.
@@ -14,29 +14,19 @@ Three things numba does not do by itself:
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import hashlib
-import inspect
-import pickle
-import threading
-import uuid
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import numba
-from numba import njit, types
-from numba.core import caching
-from numba.extending import overload
+from numba import types
+from numba.core.typing.templates import infer, infer_global
 
-from pmcl.filtering.kernels.progress import announce_compilation
+from pmcl.filtering.kernels.disk_cache import remember_source
+from pmcl.filtering.kernels.functions import EntryFunction, InnerFunction, call_template
 
 __all__ = ["entry", "generic", "kernel", "overload_for_types"]
 
 _CONTRACT = {"contract", "nsz"}
-_compile_lock = threading.RLock()
-_extra_sources: set[str] = set()
 
 
 def _options(*, reorder: bool = False, strict: bool = False, allocates: bool = False) -> Any:
@@ -70,98 +60,14 @@ def kernel(
     """
     if function is None:
         return functools.partial(kernel, reorder=reorder, strict=strict)
-    return njit(**_options(reorder=reorder, strict=strict))(function)
-
-
-@functools.cache
-def _package_hash() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + path.read_bytes())
-    for path in sorted((Path(__file__).parents[2] / "models").glob("*tables.py")):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()
-
-
-def _source_hash() -> str:
-    digest = hashlib.sha256(_package_hash().encode())
-    for name in sorted(_extra_sources):
-        digest.update(name.encode())
-        with contextlib.suppress(OSError):
-            digest.update(Path(name).read_bytes())
-    return digest.hexdigest()
-
-
-# What reading an index raises when it names a table type that this process cannot import.
-_FOREIGN = (ImportError, AttributeError, pickle.UnpicklingError)
-
-
-class _CacheFiles(caching.IndexDataCacheFile):
-    """numba's index and code files, with a name of its own for each piece of code.
-
-    numba numbers them and writes the index first: of two processes that compile one function for different models at
-    the same time both may take the same number, and the index of one then names the machine code of the other.
-    """
-
-    def save(self, key: Any, data: Any) -> None:
-        stem = self._index_name.removesuffix(".nbi")
-        name = self._load_index().get(key) or f"{stem}.{uuid.uuid4().hex[:16]}.nbc"
-        self._save_data(name, data)
-        self._save_index(self._load_index() | {key: name})
-
-
-class _SourceKeyedCache(caching.FunctionCache):
-    """numba's function cache with the hash of all sources in the key, and an index of its own for each hash.
-
-    numba keeps one index per function, which names all table types ever compiled for. A process that cannot import a
-    user's types would fail to read it; such an index is as good as none.
-    """
-
-    def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return (*super()._index_key(sig, codegen), _source_hash())
-
-    def _choose_index(self) -> None:
-        self._cache_file = _CacheFiles(
-            cache_path=self._cache_path,
-            filename_base=f"{self._impl.filename_base}.{_source_hash()[:12]}",
-            source_stamp=self._impl.locator.get_source_stamp(),
-        )
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        self._choose_index()
-        try:
-            return super().load_overload(sig, target_context)
-        except _FOREIGN:
-            return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        self._choose_index()
-        try:
-            super().save_overload(sig, data)
-        except _FOREIGN:
-            self.flush()
-            super().save_overload(sig, data)
+    remember_source(function)
+    return InnerFunction(function, _options(reorder=reorder, strict=strict))
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls, and keep its machine code on disk.
-
-    The code lies beside the package (or in the user's cache folder, or where ``NUMBA_CACHE_DIR`` says).
-    Where none can be written, it is compiled anew in each process. The first compilation is announced.
-    """
-    compiled = njit(**_options(allocates=True))(function)
-    with contextlib.suppress(RuntimeError):  # numba: "no locator available"
-        compiled._cache = _SourceKeyedCache(function)
-
-    original = compiled._compile_for_args
-
-    def compile_once(*arguments: Any, **keywords: Any) -> Any:
-        # Threads that start together must not compile the same thing twice.
-        with _compile_lock, announce_compilation(function.__name__, compiled):
-            return original(*arguments, **keywords)
-
-    compiled._compile_for_args = compile_once
-    return compiled
+    """Compile a function that Python calls, and keep its machine code on disk."""
+    remember_source(function)
+    return EntryFunction(function, _options(allocates=True))
 
 
 def generic(prototype: Callable[..., Any]) -> Any:
@@ -194,26 +100,20 @@ def generic(prototype: Callable[..., Any]) -> Any:
             ) from None
         return implementation(*arguments)
 
-    parameters = ", ".join(inspect.signature(prototype).parameters)
-    first = parameters.split(",")[0]
+    compiled: dict[type, InnerFunction] = {}
+
+    def choose(table: Any, *others: Any) -> InnerFunction | None:
+        if isinstance(table, types.NamedTuple | types.NamedUniTuple):
+            return compiled.get(table.instance_class) or compiled.get(object)
+        return None
+
+    _let_numba_choose(dispatch, choose)
 
     def register(table_type: type, *, allocates: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def decorate(implementation: Callable[..., Any]) -> Callable[..., Any]:
+            remember_source(implementation)
             implementations[table_type] = implementation
-            _remember_source(implementation)
-
-            def choose(table: Any) -> Callable[..., Any] | None:
-                if not isinstance(table, types.NamedTuple | types.NamedUniTuple):
-                    return None
-                kind = table.instance_class
-                if kind is table_type or (table_type is object and kind not in implementations):
-                    return implementations[table_type]
-                return None
-
-            # numba wants the typing function to have the parameters of the implementation.
-            scope: dict[str, Any] = {"choose": choose}
-            exec(f"def typing({parameters}):\n    return choose({first})", scope)
-            overload(dispatch, jit_options=_options(allocates=allocates), strict=False)(scope["typing"])
+            compiled[table_type] = InnerFunction(implementation, _options(allocates=allocates))
             return implementation
 
         return decorate
@@ -225,11 +125,23 @@ def generic(prototype: Callable[..., Any]) -> Any:
 
 def overload_for_types(function: Callable[..., Any]) -> Any:
     """Decorate a typing function that chooses an allocation-free implementation of `function` by argument types."""
-    return overload(function, jit_options=_options())
+
+    def decorate(choose_source: Callable[..., Callable[..., Any] | None]) -> Callable[..., Any]:
+        compiled: dict[Any, InnerFunction] = {}
+
+        def choose(*kinds: Any) -> InnerFunction | None:
+            source = choose_source(*kinds)
+            if source is None:
+                return None
+            return compiled.setdefault(source.__code__, InnerFunction(source, _options()))
+
+        _let_numba_choose(function, choose)
+        return choose_source
+
+    return decorate
 
 
-def _remember_source(implementation: Callable[..., Any]) -> None:
-    with contextlib.suppress(TypeError):
-        source = inspect.getsourcefile(implementation)
-        if source and Path(source).resolve().parent != Path(__file__).resolve().parent:
-            _extra_sources.add(source)
+def _let_numba_choose(function: Callable[..., Any], choose: Callable[..., InnerFunction | None]) -> None:
+    template = call_template(function, choose)
+    infer(template)
+    infer_global(function, types.Function(template))

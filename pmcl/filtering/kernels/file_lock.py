@@ -1,0 +1,80 @@
+"""A lock between processes that the operating system releases when a process dies."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from types import TracebackType
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["FileLock"]
+
+
+class FileLock:
+    """A lock on a file of its own, which is made when it is asked for and removed when it is given back.
+
+    A process that opens the file in the very moment in which another removes it gets a lock that no third process sees.
+    So this lock saves work that would be done twice; it must not guard what must not happen twice.
+
+    Parameters
+    ----------
+    path : Path
+        The file. Where it cannot be made or locked, the lock is granted: nothing can be kept from others there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle: int | None = None
+
+    def __enter__(self) -> FileLock:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    def acquire(self) -> bool:
+        """Try to take the lock at once; return False while another process or thread has it."""
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self._path, os.O_RDWR | os.O_CREAT)
+        except OSError:
+            return True
+        try:
+            _lock(handle)
+        except BlockingIOError:
+            os.close(handle)
+            return False
+        except OSError:
+            # A file system without locks.
+            os.close(handle)
+            return True
+        self._handle = handle
+        return True
+
+    def release(self) -> None:
+        """Give the lock back, if it was taken."""
+        if self._handle is not None:
+            with contextlib.suppress(OSError):  # Windows removes no file that another process has open
+                self._path.unlink()
+            os.close(self._handle)
+            self._handle = None
+
+
+def _lock(handle: int) -> None:
+    """Lock a file, or raise BlockingIOError when another has it."""
+    if fcntl is not None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return
+    import msvcrt
+
+    try:
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except PermissionError as error:
+        raise BlockingIOError(str(error)) from error

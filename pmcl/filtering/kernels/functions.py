@@ -1,0 +1,191 @@
+"""What numba calls dispatchers: compiled functions, of two sorts.
+
+An :class:`EntryFunction` is called from Python. It has machine code, which is kept on disk.
+
+An :class:`InnerFunction` is called by other compiled functions. numba would make machine code and a wrapper for Python
+of each of them, although neither is ever used: what a caller needs is the intermediate code of LLVM, which becomes part
+of its own. So only that is made, and kept on disk: the next function that needs it, in this process or in another, does
+not translate it again.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import binding as llvm
+from numba import njit, types
+from numba.core import caching, sigutils
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import _FunctionCompiler
+from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import AbstractTemplate
+
+from pmcl.filtering.kernels.disk_cache import DiskCache
+from pmcl.filtering.kernels.progress import announce_compilation
+
+__all__ = ["EntryFunction", "InnerFunction", "call_template"]
+
+
+class EntryFunction(CPUDispatcher):
+    """A compiled function that Python calls.
+
+    Parameters
+    ----------
+    function : callable
+        What to compile.
+    options : dict
+        How, as for ``numba.njit``.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions={"nopython": True, **options})
+        self._cache = DiskCache(function, options, caching.CompileResultCacheImpl)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile one signature, or find it on disk."""
+        arguments, _ = sigutils.normalize_signature(sig)
+        # Threads that start together must not compile the same thing twice: numba's lock comes first.
+        with global_compiler_lock:
+            if tuple(arguments) in self.overloads:
+                return super().compile(sig)
+            with self._cache.alone(sig, self.targetctx), announce_compilation(self.py_func.__name__, self):
+                return super().compile(sig)
+
+
+class _InnerLibrary(CPUCodeLibrary):
+    """The code of an inner function: it is linked into that of others, and never made ready to run by itself."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
+
+    @classmethod
+    def from_bitcode(cls, codegen: Any, name: str, bitcode: bytes) -> _InnerLibrary:
+        library = cls(codegen, name)
+        library._final_module = llvm.parse_bitcode(bitcode)
+        library._finalize_final_module()
+        return library
+
+
+class _InnerPipeline(CompilerBase):
+    """numba's usual passes, into an :class:`_InnerLibrary`."""
+
+    def define_pipelines(self) -> list[Any]:
+        self.state.library = _InnerLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
+
+
+class _InnerCompiler(_FunctionCompiler):
+    def _customize_flags(self, flags: Any) -> Any:
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        return flags
+
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        result = super()._compile_core(args, return_type)._replace(entry_point=object())
+        result.target_context.insert_user_function(result.entry_point, result.fndesc, [result.library])
+        return result
+
+
+class _InnerCacheImplementation(caching.CompileResultCacheImpl):
+    """Keeps the intermediate code; numba's own keeps machine code."""
+
+    def reduce(self, data: Any) -> Any:
+        library, descriptor = data.library, data.fndesc
+        descriptor.typemap = descriptor.calltypes = None
+        bitcode = library._final_module.as_bitcode()
+        environments = tuple(data._find_referenced_environments())
+        return library.name, bitcode, descriptor, data.environment, data.signature, data.reload_init, environments
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        name, bitcode, descriptor, environment, signature, reload_init, environments = payload
+        for function in reload_init:
+            function()
+        return CompileResult(
+            typing_context=target_context.typing_context,
+            target_context=target_context,
+            entry_point=object(),
+            typing_error=None,
+            type_annotation="",
+            signature=signature,
+            objectmode=False,
+            lifted=(),
+            fndesc=descriptor,
+            library=_InnerLibrary.from_bitcode(target_context.codegen(), name, bitcode),
+            call_helper=None,
+            environment=environment,
+            metadata=None,
+            reload_init=reload_init,
+            referenced_envs=environments,
+        )
+
+
+class InnerFunction(CPUDispatcher):
+    """A compiled function that other compiled functions call.
+
+    Called from Python it is compiled once more, as any function of numba, and kept nowhere: only tests do that.
+
+    Parameters
+    ----------
+    function : callable
+        What to compile.
+    options : dict
+        How, as for ``numba.njit``.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions={"nopython": True, **options}, pipeline_class=_InnerPipeline)
+        self._compiler = _InnerCompiler(function, self.targetdescr, self.targetoptions, self.locals, _InnerPipeline)
+        self._cache = DiskCache(function, options, _InnerCacheImplementation)
+
+    def add_overload(self, cres: Any) -> None:
+        """Remember a compilation result, but not as something to call from Python."""
+        self.overloads[tuple(cres.signature.args)] = cres
+
+    def compile(self, sig: Any) -> Any:
+        """Compile one signature, or find it on disk."""
+        arguments, _ = sigutils.normalize_signature(sig)
+        with global_compiler_lock:
+            if tuple(arguments) in self.overloads:
+                return super().compile(sig)
+            with self._cache.alone(sig, self.targetctx):
+                return super().compile(sig)
+
+    @functools.cached_property
+    def _for_python(self) -> Any:
+        options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
+        return njit(**options)(self.py_func)
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        return self._for_python(*args, **kws)
+
+
+def call_template(function: Callable[..., Any], choose: Callable[..., InnerFunction | None]) -> type[AbstractTemplate]:
+    """Return how numba types a call of `function`: ``choose(*argument types)`` says which inner function that is."""
+
+    class Template(AbstractTemplate):
+        key = function
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            chosen = choose(*args)
+            if chosen is None:
+                return None
+            kind = types.Dispatcher(chosen)
+            signature = kind.get_call_type(self.context, args, kws)
+            self._found[signature.args] = kind.get_overload(signature)
+            return signature
+
+        def get_impl_key(self, sig: Any) -> Any:
+            return self._found[sig.args]
+
+        _found: dict[Any, Any] = {}  # noqa: RUF012  (of this class: numba makes new instances)
+
+    Template.__name__ = f"{function.__name__}_template"
+    return Template
