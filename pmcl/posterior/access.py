@@ -163,7 +163,7 @@ def log_suffixes(data: Posterior) -> tuple[str, ...]:
     tuple of str
         Empty when the posterior holds no trajectories.
     """
-    names = [str(name) for name in find_group(data, "posterior").data_vars]
+    names = [str(name) for name in _trajectories(data).data_vars]
     # By number, since "_10" comes before "_2" in the alphabet.
     endings = {name.removeprefix("trajectory") for name in names if name.startswith("trajectory")}
     numbered = sorted(int(ending[1:]) for ending in endings if ending[:1] == "_" and ending[1:].isdecimal())
@@ -195,4 +195,10 @@ def trajectory_draws(data: Posterior, log: int = 0) -> xr.DataArray:
             f"expected the number of a log below {len(suffixes)} (trajectories stored in the posterior), got {log}: "
             "choose another log, or calibrate with trajectories kept"
         )
-    return find_group(data, "posterior")[f"trajectory{suffixes[log]}"]
+    return _trajectories(data)[f"trajectory{suffixes[log]}"]
+
+
+def _trajectories(data: Posterior) -> xr.Dataset:
+    """Give the group of trajectories; files of older versions hold them in the group ``posterior``."""
+    found = find_group(data, "trajectories")
+    return found if found.data_vars else find_group(data, "posterior")

@@ -75,8 +75,9 @@ def to_arviz(
     Returns
     -------
     arviz.InferenceData or xarray.DataTree
-        Groups ``posterior``, ``sample_stats``, ``prior``, ``observed_data``, ``constant_data``, and when burn-in was
-        kept ``warmup_posterior`` and ``warmup_sample_stats``. Settings and the hash of each log are attributes.
+        Groups ``posterior``, ``sample_stats``, ``prior``, ``observed_data``, ``constant_data``, when trajectories were
+        kept ``trajectories``, and when burn-in was kept ``warmup_posterior`` and ``warmup_sample_stats``. Settings and
+        the hash of each log are attributes.
 
     Raises
     ------
@@ -85,21 +86,24 @@ def to_arviz(
 
     Notes
     -----
-    Trajectories are thinned, so ``trajectory`` runs over ``trajectory_draw`` instead of ``draw``, and ArviZ functions
-    that go through all variables stop at it: name the parameters, as in
-    ``arviz.summary(data, var_names=list(parameter_names(data)))``.
+    The group ``posterior`` holds the parameters and nothing else, so that ``arviz.summary(data)`` and
+    ``arviz.plot_trace(data)`` need no further arguments. Trajectories are thinned, so ``trajectory`` runs over
+    ``trajectory_draw`` instead of ``draw`` and has a group of its own.
     """
     _check_chains(chains, parameters)
     _check_trajectories(chains, logs)
     observed, constant = log_groups(logs)
     attrs = _attributes(chains, logs)
     groups = {
-        "posterior": xr.merge([_theta(chains.theta, parameters), _trajectories(chains, logs)]).assign_attrs(attrs),
+        "posterior": _theta(chains.theta, parameters).assign_attrs(attrs),
         "sample_stats": _statistics(chains),
         "prior": _prior(parameters, prior_draws, prior_seed),
         "observed_data": observed,
         "constant_data": xr.merge([constant, _prior_density(chains.theta, parameters)]),
     }
+    trajectories = _trajectories(chains, logs)
+    if trajectories.data_vars:
+        groups["trajectories"] = trajectories
     if chains.warmup_theta.shape[1] > 0:
         groups["warmup_posterior"] = _theta(chains.warmup_theta, parameters)
         groups["warmup_sample_stats"] = _log_joint(chains.warmup_log_joint)

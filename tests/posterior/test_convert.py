@@ -28,7 +28,8 @@ def test_every_draw_is_where_the_labels_say(case, data):
 
 
 def test_trajectory_has_its_own_draws_and_wrapped_headings(case, data):
-    stored = find_group(data, "posterior")["trajectory"]
+    assert set(find_group(data, "posterior").data_vars) == set(NAMES), "ArviZ goes through all variables of this group"
+    stored = find_group(data, "trajectories")["trajectory"]
     assert stored.dims == ("chain", "trajectory_draw", "time", "pose")
     np.testing.assert_array_equal(stored["trajectory_draw"], case.chains.trajectory_draw)
     np.testing.assert_array_equal(stored["time"], case.logs[0].dataset["time"])
@@ -110,13 +111,13 @@ def test_a_log_without_truth_has_none():
 def test_several_logs_keep_their_own_times_and_names():
     case = fake_case(n_draws=20, n_logs=12, n_states=4)
     data = to_arviz(case.chains, case.parameters, case.logs)
-    posterior = find_group(data, "posterior")
+    stored = find_group(data, "trajectories")
     assert log_suffixes(data) == tuple(f"_{index}" for index in range(12))
     assert parameter_names(data) == NAMES
     for index in (0, 1, 11):
-        assert posterior[f"trajectory_{index}"].dims == ("chain", "trajectory_draw", f"time_{index}", "pose")
-        assert posterior.sizes[f"time_{index}"] == 60 + 10 * index
-        np.testing.assert_array_equal(posterior[f"extra_state_{index}"], case.chains.trajectories[index][..., 3:])
+        assert stored[f"trajectory_{index}"].dims == ("chain", "trajectory_draw", f"time_{index}", "pose")
+        assert stored.sizes[f"time_{index}"] == 60 + 10 * index
+        np.testing.assert_array_equal(stored[f"extra_state_{index}"], case.chains.trajectories[index][..., 3:])
         assert find_group(data, "observed_data")[f"odometry_{index}"].shape == (60 + 10 * index, 3)
         assert f"wall_{index}" in find_group(data, "constant_data")
         assert settings(data)[f"log_fingerprint_{index}"] == f"hash-log{index}"
@@ -201,4 +202,5 @@ def test_no_stored_trajectories_is_fine():
     )
     data = to_arviz(empty, case.parameters, case.logs)
     assert log_suffixes(data) == ()
+    assert "trajectories" not in group_names(data)
     assert parameter_names(data) == NAMES

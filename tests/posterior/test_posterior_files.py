@@ -3,6 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import arviz
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -10,7 +11,7 @@ from synthetic_posterior import NAMES, fake_case
 
 from pmcl.errors import PosteriorError
 from pmcl.posterior import files
-from pmcl.posterior.access import parameter_names
+from pmcl.posterior.access import parameter_names, trajectory_draws
 from pmcl.posterior.compat import assemble, find_group, group_names
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.files import read_posterior, replacing, write_posterior
@@ -41,9 +42,10 @@ def test_arviz_itself_reads_the_file(data, written):
     tree = arviz.from_netcdf(str(written))
     for name in NAMES:
         np.testing.assert_array_equal(tree.posterior[name].values, find_group(data, "posterior")[name].values)
-    assert tree.posterior["trajectory"].shape == find_group(data, "posterior")["trajectory"].shape
+    stored = find_group(data, "trajectories")["trajectory"]
+    assert tree["trajectories"]["trajectory"].shape == stored.shape
     assert float(tree.constant_data["true_sigma_range"]) == 0.098
-    table = arviz.summary(tree, var_names=list(NAMES))
+    table = arviz.summary(tree)
     assert list(table.index) == list(NAMES)
 
 
@@ -52,8 +54,31 @@ def test_several_logs_survive_the_file(tmp_path):
     data = to_arviz(case.chains, case.parameters, case.logs)
     write_posterior(data, tmp_path / "p.nc")
     back = read_posterior(tmp_path / "p.nc")
-    xr.testing.assert_equal(find_group(back, "posterior"), find_group(data, "posterior"))
+    xr.testing.assert_equal(find_group(back, "trajectories"), find_group(data, "trajectories"))
     xr.testing.assert_equal(find_group(back, "observed_data"), find_group(data, "observed_data"))
+
+
+def test_trajectories_are_found_where_older_files_hold_them(data):
+    groups = {name: find_group(data, name) for name in group_names(data)}
+    moved = xr.merge([groups["posterior"], groups.pop("trajectories")], combine_attrs="override")
+    older = assemble({**groups, "posterior": moved}, {})
+    assert parameter_names(older) == NAMES
+    xr.testing.assert_equal(trajectory_draws(older), trajectory_draws(data))
+
+
+def test_xarray_alone_opens_the_file(data, written):
+    with xr.open_dataset(written, group="posterior") as posterior:
+        assert posterior["sigma_turn"].attrs["units"] == "rad"
+        assert "sigma_turn" in posterior["sigma_turn"].attrs["long_name"]
+        np.testing.assert_array_equal(posterior["sigma_turn"], find_group(data, "posterior")["sigma_turn"])
+    with xr.open_datatree(written) as tree:
+        assert set(tree.children) == set(group_names(data))
+
+
+def test_plots_of_arviz_need_no_arguments(data):
+    drawn = arviz.plot_trace(data)
+    assert drawn is not None
+    plt.close("all")
 
 
 def test_a_read_posterior_can_be_written_over_itself(written, tmp_path):
