@@ -4,50 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from pmcl.errors import FilterError
+from pmcl.filtering.lost import lost_at
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings
+from pmcl.filtering.predictive import predict_readings
 from pmcl.models.robot_model import BoundModel
 
 __all__ = ["lost_at", "particles_that_follow"]
 
 Float = NDArray[np.float64]
 
-# A lost robot contradicts most channels of a row, row after row; a missing effect of some channels does not.
-_WINDOW, _CONTRADICTED = 12, 2.5
-# A fit may have bought its way out with noise; then a single row gives the loss away, in which most readings of
-# several beams or landmarks are as far off as this. Two landmarks can be that far off when the model misses something.
-_ROW_CONTRADICTED, _ROW_CHANNELS = 4.5, 4
 # Filters of n and 4 n particles that follow the robot agree on a window to within some nats.
 _DISAGREEMENT, _SPAN = 60.0, 20
-
-
-def lost_at(made: Predictions, n_steps: int) -> int | None:
-    """Return the first row at which a filter has lost the robot, or None.
-
-    It has where, over a dozen rows with readings, most readings of most rows lie beyond 2.5 standard deviations of
-    what was foreseen; or in one row of at least four beams or landmarks most readings beyond 4.5.
-    """
-    middle = 0.5 * (made.low + made.high)
-    with np.errstate(invalid="ignore"):
-        size = np.abs(special.ndtri(np.clip(middle, 1e-12, 1.0 - 1e-12)))
-    rows = np.unique(made.time[~np.isnan(size)])
-    if rows.size < _WINDOW:
-        return None
-    known = ~np.isnan(size)
-    of_row = [size[known & (made.time == t)] for t in rows]
-    typical = np.array([np.median(values) for values in of_row])
-    several = np.array([np.unique(made.channel[known & (made.time == t)]).size >= _ROW_CHANNELS for t in rows])
-    windows = np.lib.stride_tricks.sliding_window_view(typical, _WINDOW)
-    lost = np.concatenate(
-        [
-            np.flatnonzero(np.median(windows, axis=1) > _CONTRADICTED),
-            np.flatnonzero(several & (typical > _ROW_CONTRADICTED)),
-        ]
-    )
-    return int(rows[lost.min()]) if lost.size else None
 
 
 def particles_that_follow(

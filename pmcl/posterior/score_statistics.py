@@ -1,0 +1,206 @@
+"""Statistics of normal scores that show whether a model foresees readings as well as it claims.
+
+When the model is right, the sequential probability integral transforms of the readings are independent and uniform
+(Rosenblatt, Annals of Mathematical Statistics 23(3), 1952), so their normal scores are independent standard normals,
+whatever the pattern of the readings in time. The distribution of any statistic of them is therefore known exactly: it
+is that of the same statistic of simulated standard normals at the same places.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+__all__ = ["ScoreSeries", "Statistic", "duration_of_errors", "score_statistics"]
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+# Cosines of the PIT (Neyman's smooth test): the first shows shifted readings, the second a wrong spread, the third and
+# fourth a wrong shape.
+_WAVES = 4
+# Errors that last this many times the usual interval between two readings of a channel are looked for.
+_TIME_SCALES = (1.0, 4.0, 16.0, 64.0)
+# The log holds at least this many of the longest time scale, so that chance similarities average out.
+_LEAST_SPANS = 10.0
+# Time scales per octave when the duration of errors is estimated.
+_PER_OCTAVE = 4
+
+
+class ScoreSeries(NamedTuple):
+    """Normal scores of one kind of reading of one log.
+
+    Attributes
+    ----------
+    kind : str
+        Variable of the log, e.g. ``"landmark_range"``.
+    time : ndarray, shape (N,)
+        Time of each reading [s]; not decreasing.
+    channel : ndarray of int, shape (N,)
+        Its beam or landmark.
+    score : ndarray, shape (N,)
+        Its normal score.
+    """
+
+    kind: str
+    time: Float
+    channel: Int
+    score: Float
+
+
+class Statistic(NamedTuple):
+    """What one number measures.
+
+    Attributes
+    ----------
+    name : {"shift", "spread", "shape", "channel shift", "lasting", "lasting together"}
+        "shift": readings are longer (positive) or shorter than foreseen. "spread": they scatter more (positive) or
+        less. "channel shift": as "shift", for one beam or landmark. "lasting": errors of a channel resemble its earlier
+        ones (positive) or alternate. "lasting together": the same for the mean error of all channels of a row.
+    channel : int
+        Beam or landmark of a "channel shift"; -1 elsewhere.
+    time_scale : float
+        Decay time of the weight that earlier errors get [s]; 0 where there is none.
+    """
+
+    name: str
+    channel: int = -1
+    time_scale: float = 0.0
+
+
+def score_statistics(
+    series: ScoreSeries, simulations: int, rng: np.random.Generator
+) -> tuple[tuple[Statistic, ...], Float]:
+    """Compute all statistics of a series, and of simulated standard normals at the same places.
+
+    Parameters
+    ----------
+    series : ScoreSeries
+        N readings of C channels.
+    simulations : int
+        Number of simulated series M.
+    rng : numpy.random.Generator
+        Source of the simulated scores.
+
+    Returns
+    -------
+    statistics : tuple of Statistic, length F
+    values : ndarray, shape (F, 1 + M)
+        Column 0 belongs to the readings, the others to the simulations. All have mean 0 and variance 1 for independent
+        standard normal scores. Cost: O(N M).
+    """
+    scores = np.concatenate([series.score[:, None], rng.standard_normal((series.score.size, simulations))], axis=1)
+    n = series.score.size
+    probability = special.ndtr(scores)
+    # The cosine is positive for readings shorter than foreseen.
+    signs = (-1.0, 1.0, 1.0, 1.0)
+    values = [
+        sign * np.sqrt(2.0 / n) * np.cos((wave + 1) * np.pi * probability).sum(axis=0)
+        for wave, sign in zip(range(_WAVES), signs, strict=True)
+    ]
+    names = [Statistic("shift"), Statistic("spread"), Statistic("shape"), Statistic("shape")]
+    channels = np.unique(series.channel)
+    if channels.size > 1:
+        for channel in channels:
+            mine = series.channel == channel
+            names.append(Statistic("channel shift", int(channel)))
+            values.append(scores[mine].sum(axis=0) / np.sqrt(np.count_nonzero(mine)))
+    scales = _time_scales(series)
+    if scales.size:
+        single, together = _lasting(series, scales, scores)
+        names += [Statistic("lasting", -1, float(scale)) for scale in scales]
+        values += list(single)
+        if channels.size > 1:
+            names += [Statistic("lasting together", -1, float(scale)) for scale in scales]
+            values += list(together)
+    return tuple(names), np.array(values)
+
+
+def duration_of_errors(series: ScoreSeries, name: str) -> float:
+    """Estimate how long the errors of a series last.
+
+    Parameters
+    ----------
+    series : ScoreSeries
+        The readings.
+    name : {"lasting", "lasting together"}
+        Whether errors of single channels or the mean errors of rows are meant.
+
+    Returns
+    -------
+    float
+        The decay time [s] of the exponential weight that shows the resemblance of errors most clearly. For errors whose
+        correlation decays exponentially that weight is the matched filter, so that its decay time is theirs.
+    """
+    interval, longest = _interval(series), _longest(series)
+    octaves = np.log2(max(longest / interval, 1.0))
+    scales = 0.5 * interval * 2.0 ** (np.arange(int(octaves * _PER_OCTAVE) + _PER_OCTAVE + 1) / _PER_OCTAVE)
+    single, together = _lasting(series, scales, series.score[:, None])
+    found = single if name == "lasting" else together
+    return float(scales[int(found[:, 0].argmax())])
+
+
+def _interval(series: ScoreSeries) -> float:
+    """Return the usual time between two readings of a channel [s]; 0 where no channel was read twice."""
+    order = np.lexsort((series.time, series.channel))
+    steps = np.diff(series.time[order])[np.diff(series.channel[order]) == 0]
+    return float(np.median(steps)) if steps.size else 0.0
+
+
+def _longest(series: ScoreSeries) -> float:
+    return float(series.time[-1] - series.time[0]) / _LEAST_SPANS
+
+
+def _time_scales(series: ScoreSeries) -> Float:
+    interval = _interval(series)
+    scales = interval * np.array(_TIME_SCALES)
+    return scales[scales <= _longest(series)] if interval > 0.0 else np.empty(0)
+
+
+def _lasting(series: ScoreSeries, scales: Float, scores: Float) -> tuple[Float, Float]:
+    """Return weighted sums of products of two errors, (S, M) for errors of channels and (S, M) for means of rows.
+
+    The weight of a product is exp(-interval / scale). Products of different pairs are uncorrelated, so the variance of
+    the sum, by which it is divided, is the sum of squared weights.
+    """
+    _, channel = np.unique(series.channel, return_inverse=True)
+    times, first = np.unique(series.time, return_index=True)
+    stops = [*first[1:], series.time.size]
+    n_channels = int(channel.max()) + 1
+    single = _PairSums(scales, n_channels, scores.shape[1])
+    together = _PairSums(scales, 1, scores.shape[1])
+    row = np.zeros(1, dtype=np.int64)
+    for time, begin, end in zip(times, first, stops, strict=True):
+        now = scores[begin:end]
+        single.add(float(time), channel[begin:end], now)
+        together.add(float(time), row, now.sum(axis=0, keepdims=True) / np.sqrt(end - begin))
+    return single.standardised(), together.standardised()
+
+
+class _PairSums:
+    """Sums over pairs of errors of a channel, by recursion: what is remembered decays from one reading to the next."""
+
+    def __init__(self, scales: Float, n_channels: int, n_series: int) -> None:
+        self.scales = scales[:, None]
+        self.memory = np.zeros((scales.size, n_channels, n_series))
+        self.weight = np.zeros((scales.size, n_channels))
+        self.time = np.full(n_channels, -np.inf)
+        self.total = np.zeros((scales.size, n_series))
+        self.variance = np.zeros(scales.size)
+
+    def add(self, time: float, channel: Int, scores: Float) -> None:
+        """Take the scores (m, M) of some channels at one time."""
+        decay = np.exp(-(time - self.time[channel]) / self.scales)
+        memory = decay[..., None] * self.memory[:, channel]
+        weight = decay**2 * self.weight[:, channel]
+        self.total += np.einsum("smk,mk->sk", memory, scores)
+        self.variance += weight.sum(axis=1)
+        self.memory[:, channel] = memory + scores
+        self.weight[:, channel] = weight + 1.0
+        self.time[channel] = time
+
+    def standardised(self) -> Float:
+        return np.asarray(self.total / np.sqrt(np.maximum(self.variance, 1e-300))[:, None])
