@@ -15,9 +15,10 @@ Names are imported when they are first used.
 
 from __future__ import annotations
 
-import importlib
 import os
 from typing import TYPE_CHECKING, Any
+
+from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
     from pmcl.criticism.workflow import criticize
@@ -103,17 +104,15 @@ def read_log(path: str | os.PathLike[str]) -> RobotLog:
     return RobotLog.read(path)
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+_getattr, _ = lazy_names(__name__, _HOMES)
 
-        value: Any = version("pmcl")
-    elif name in _HOMES:
-        value = getattr(importlib.import_module(_HOMES[name]), name)
-    else:
-        raise AttributeError(f"module 'pmcl' has no attribute '{name}'")
-    globals()[name] = value
-    return value
+
+def __getattr__(name: str) -> Any:
+    if name != "__version__":
+        return _getattr(name)
+    from importlib.metadata import version
+
+    return version("pmcl")
 
 
 def __dir__() -> list[str]:

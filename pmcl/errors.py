@@ -6,6 +6,9 @@ stderr and exits with status 2; a library user catches :class:`PmclError`.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 __all__ = [
     "CriticismError",
     "FilterError",
@@ -15,7 +18,35 @@ __all__ = [
     "PmclError",
     "PosteriorError",
     "SamplingError",
+    "did_you_mean",
 ]
+
+
+# Similarity (difflib's ratio, 0 to 1) from which on a known name is offered in place of an unknown one. At 0.75 a word
+# of eight letters may have two of them wrong: "rnge-bias" is near "range-bias" (0.95), "wheel-radius" is not near
+# "wheel-slip" (0.64).
+_NEAR = 0.75
+
+
+def did_you_mean(given: str, known: Iterable[str], otherwise: str) -> str:
+    """Advise on an unknown name: the known name that it is a misspelling of, or else `otherwise`.
+
+    Parameters
+    ----------
+    given : str
+        What came.
+    known : iterable of str
+        What would have been understood.
+    otherwise : str
+        The advice when no known name is near.
+
+    Returns
+    -------
+    str
+        E.g. ``"did you mean 'range-bias'?"``.
+    """
+    near = difflib.get_close_matches(given, list(known), 1, cutoff=_NEAR)
+    return f"did you mean '{near[0]}'?" if near else otherwise
 
 
 class PmclError(ValueError):

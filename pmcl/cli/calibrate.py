@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmcl import defaults
 from pmcl.cli.application import on_interrupt
 from pmcl.cli.options import (
+    effects_option,
     output_option,
     progress_option,
     protect_inputs,
@@ -32,44 +34,73 @@ _OF_PARTICLE_GIBBS = (
 _COUNT = click.IntRange(min=1)
 
 
-@click.command()
+@click.command(short_help="Draw from the posterior of a robot's noise parameters.")
 @click.argument("logs", metavar="LOG.nc...", nargs=-1, required=True)
 @output_option("The posterior to write (NetCDF, ArviZ).", required=False)
 @click.option(
-    "--model", "model_file", metavar="FILE.toml", help="Model file; without it the paper's model, as the log allows."
+    "--model",
+    "model_file",
+    metavar="FILE.toml",
+    help="Model file (see --print-model); without it the paper's model with the sensors of the log.",
 )
-@click.option("--print-model", is_flag=True, help="Print the model as a model file to start from, and stop.")
-@click.option("--outliers", is_flag=True, help="Allow for gross errors among the readings.")
+@click.option("--print-model", is_flag=True, help="Print the model as a model file that you can edit, and stop.")
+@effects_option()
+@click.option("--outliers", is_flag=True, help="Add to the model that a share of the readings are gross errors.")
 @click.option(
-    "--method", type=click.Choice(["particle-gibbs", "ensemble"]), default="particle-gibbs", show_default=True
+    "--method",
+    type=click.Choice(["particle-gibbs", "ensemble"]),
+    default="particle-gibbs",
+    show_default=True,
+    help="particle-gibbs: the paper's sampler. ensemble: emcee's StretchMove, for comparison.",
 )
 @click.option(
     "--kernel",
     type=click.Choice(["conditional", "smoothing"]),
-    help="conditional (default): the exact posterior, to know the physics. smoothing: the paper's, to tune a filter of "
-    "as many particles.",
+    help="conditional: the exact posterior, to know the robot's noise (default). smoothing: the paper's kernel, to "
+    "tune a filter that runs with as many particles.",
 )
 @click.option(
     "--particles",
     type=click.IntRange(min=2),
-    help="Particles; 25 for conditional, 500 for smoothing, 200 for ensemble.",
+    help="Particles of the filter.  [default: "
+    + ", ".join(f"{count} for {name}" for name, count in defaults.CALIBRATION_PARTICLES.items())
+    + "]",
 )
-@click.option("--draws", type=_COUNT, default=1000, show_default=True, help="Draws per chain.")
-@click.option("--chains", type=_COUNT, default=4, show_default=True, help="Chains.")
-@click.option("--metropolis-steps", type=_COUNT, help="Updates of theta per trajectory (the paper's m); 5.")
+@click.option("--draws", type=_COUNT, default=defaults.DRAWS, show_default=True, help="Draws of each chain.")
+@click.option("--chains", type=_COUNT, default=defaults.CHAINS, show_default=True, help="Number of chains.")
 @click.option(
-    "--data-rate", type=_COUNT, help="Rows that each sweep of burn-in includes (the paper's r); a fiftieth of the log."
+    "--metropolis-steps",
+    type=_COUNT,
+    help=f"Updates of theta for each trajectory (the paper's m).  [default: {defaults.METROPOLIS_STEPS}]",
 )
-@click.option("--sweeps-per-draw", type=_COUNT, help="Sweeps between stored draws; 4.")
-@click.option("--burn-in-particles", type=click.IntRange(min=2), help="Particles while data is being included; 1000.")
-@click.option("--transport/--no-transport", default=None, help="Move theta and path together; on for conditional.")
+@click.option(
+    "--data-rate",
+    type=_COUNT,
+    help="Rows that each sweep of burn-in includes (the paper's r).  [default: the rows of the log divided by "
+    f"{defaults.DATA_RATE_PARTS}]",
+)
+@click.option(
+    "--sweeps-per-draw",
+    type=_COUNT,
+    help=f"Sweeps from one stored draw to the next.  [default: {defaults.SWEEPS_PER_DRAW}]",
+)
+@click.option(
+    "--burn-in-particles",
+    type=click.IntRange(min=2),
+    help=f"Particles during burn-in, while rows are being included.  [default: {defaults.BURN_IN_PARTICLES}]",
+)
+@click.option(
+    "--transport/--no-transport",
+    default=None,
+    help="Move theta and path together, which makes the chains mix.  [default: on for conditional, off for smoothing]",
+)
 @seed_option()
 @click.option(
     "--checkpoint",
     type=click.Path(path_type=Path),
     metavar="FILE.h5",
     callback=writable_file,
-    help="Write every draw here, so that a run can be resumed.",
+    help="Write every draw to this file, so that the run can be resumed.",
 )
 @click.option(
     "--resume", is_flag=True, help="Go on from the checkpoint, by default POSTERIOR.checkpoint.h5 beside the output."

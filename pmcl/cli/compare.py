@@ -6,21 +6,29 @@ from pathlib import Path
 
 import click
 
+from pmcl import defaults
 from pmcl.cli.application import NOT_CONVERGED
-from pmcl.cli.options import output_option, progress_option, protect_inputs, seed_option, wants_progress
+from pmcl.cli.options import (
+    effects_option,
+    output_option,
+    progress_option,
+    protect_inputs,
+    seed_option,
+    wants_progress,
+)
 
 __all__ = ["compare"]
 
 
-@click.command()
+@click.command(short_help="Compare methods of calibration on one log, for the same time each.")
 @click.argument("log", metavar="LOG.nc")
 @click.option(
     "--methods",
     default="conditional,smoothing,ensemble",
     show_default=True,
     metavar="NAME[:N],...",
-    help="Methods, each with its number of particles if you like: conditional:25 (or particle-gibbs:25), plain:25, "
-    "smoothing:500, ensemble:200.",
+    help="Methods, each with a number of particles if you like: conditional:25 (or particle-gibbs:25), plain:25 (the "
+    "same without transport moves), smoothing:500, ensemble:200.",
 )
 @output_option("The page to write (HTML, one file).")
 @click.option(
@@ -30,8 +38,12 @@ __all__ = ["compare"]
     show_default=True,
     help="Time of each method by the clock, burn-in included; the reference run takes twice as long.",
 )
-@click.option("--chains", type=click.IntRange(min=2), default=4, show_default=True, help="Chains.")
+@click.option(
+    "--chains", type=click.IntRange(min=2), default=defaults.CHAINS, show_default=True,
+    help="Number of chains.",
+)  # fmt: skip
 @click.option("--model", "model_file", metavar="FILE.toml", help="Model file; without it the paper's model.")
+@effects_option()
 @seed_option()
 @progress_option()
 @click.pass_context

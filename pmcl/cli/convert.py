@@ -18,26 +18,37 @@ __all__ = ["convert"]
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-@click.group()
+@click.group(short_help="Convert a published recording to a robot log.")
 def convert() -> None:
-    """Convert a recording to a robot log."""
+    """Convert a published recording to a robot log.
+
+    For data of your own see pmcl.RobotLog.build and 'pmcl example own_robot'.
+    """
 
 
-def _options_of_recordings(period: float) -> Callable[[Command], Command]:
-    """Return the options that recordings with landmarks share; `period` is the usual one [s]."""
+def _options_of_recordings(period: float, max_offset: str) -> Callable[[Command], Command]:
+    """Return the options that recordings with landmarks share; `period` is the default [s]."""
     options = (
         output_option("The log to write (NetCDF)."),
-        click.option("--period", type=float, default=period, show_default=True, help="Time between samples [s]."),
+        click.option("--period", type=float, default=period, show_default=True, help="Time between rows [s]."),
         click.option(
             "--start",
             type=click.Choice(["reference", "anywhere"]),
             default="reference",
             show_default=True,
-            help="What is believed about the first pose: the reference within 0.1 m and 0.1 rad, or nothing.",
+            help="What is believed about the first pose. reference: the true pose within 0.1 m and 0.1 rad. "
+            "anywhere: nothing.",
         ),
-        click.option("--begin", type=float, default=0.0, show_default=True, help="Where to begin [s]."),
-        click.option("--duration", type=float, help="How much to take [s]; all of it if not given."),
-        click.option("--max-offset", type=float, help="Drop readings further from their sample than this [s]."),
+        click.option(
+            "--begin", type=float, default=0.0, show_default=True, help="Leave out what came before this time [s]."
+        ),
+        click.option("--duration", type=float, help="How much to convert [s].  [default: to the end]"),
+        click.option(
+            "--max-offset",
+            type=float,
+            help="Leave out readings that are further in time from the nearest row than this [s].  [default: "
+            f"{max_offset}]",
+        ),
     )
 
     def decorate(command: Command) -> Command:
@@ -48,22 +59,22 @@ def _options_of_recordings(period: float) -> Callable[[Command], Command]:
     return decorate
 
 
-@convert.command()
+@convert.command(short_help="UTIAS multi-robot localization and mapping: barcodes seen by a camera.")
 @click.argument("source", metavar="FOLDER")
 @click.option("--robot", type=int, default=1, show_default=True, help="Number of the robot, N in RobotN_*.dat.")
-@_options_of_recordings(period=0.5)
+@_options_of_recordings(period=0.5, max_offset="half the period, which keeps all")
 def mrclam(source: str, robot: int, output: Path, **settings: Any) -> None:
-    """UTIAS multi-robot localization and mapping: a FOLDER with RobotN_Odometry.dat and so on."""
+    """UTIAS multi-robot localization and mapping: a FOLDER with RobotN_Odometry.dat and the other tables."""
     from pmcl.logs.mrclam import read_mrclam
 
     _write(read_mrclam(source, robot, settings.pop("period"), **settings), output)
 
 
-@convert.command()
+@convert.command(short_help="Lost in the Woods, course data of T. Barfoot: tubes seen by a laser.")
 @click.argument("source", metavar="FILE")
-@_options_of_recordings(period=1.0)
+@_options_of_recordings(period=1.0, max_offset="0.05")
 def barfoot(source: str, output: Path, **settings: Any) -> None:
-    """Lost in the Woods, T. Barfoot's course data: the MAT-FILE dataset2.mat, or its folder."""
+    """Lost in the Woods, course data of T. Barfoot: FILE is dataset2.mat, or the folder that holds it."""
     from pmcl.logs.barfoot import read_barfoot
 
     if settings["max_offset"] is None:

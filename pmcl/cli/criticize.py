@@ -7,12 +7,13 @@ from typing import Any
 
 import click
 
-from pmcl.cli.options import output_option, progress_option, seed_option, wants_progress, writable_file
+from pmcl import defaults
+from pmcl.cli.options import effects_option, output_option, progress_option, seed_option, wants_progress, writable_file
 
 __all__ = ["criticize"]
 
 
-@click.command()
+@click.command(short_help="Find what the model of a log lacks, and name it.")
 @click.argument("log", metavar="LOG.nc")
 @output_option("The page to write (HTML, one file).")
 @click.option(
@@ -23,15 +24,23 @@ __all__ = ["criticize"]
     callback=writable_file,
     help="Write the result for other programs, too.",
 )
-@click.option("--model", "model_file", metavar="FILE.toml", help="Model file of the base model.")
 @click.option(
-    "--particles", type=click.IntRange(min=50), default=500, show_default=True, help="Particles of scored passes."
+    "--model",
+    "model_file",
+    metavar="FILE.toml",
+    help="Model file of the model to criticise; without it the paper's model.",
+)
+@effects_option()
+@click.option(
+    "--particles", type=click.IntRange(min=50), default=defaults.CRITICISM_PARTICLES, show_default=True,
+    help="Particles of the filter passes that score effects.",
 )
 @click.option(
-    "--level", type=click.FloatRange(0.0, 0.5, min_open=True, max_open=True), default=0.05, show_default=True,
-    help="Rate of false alarms.",
+    "--level", type=click.FloatRange(0.0, 0.5, min_open=True, max_open=True), default=defaults.FALSE_ALARM_LEVEL,
+    show_default=True, help="Share of faultless logs that may raise an alarm.",
 )  # fmt: skip
-@click.option("--joint/--no-joint", default=True, help="Calibrate the final model with full chains.")
+@click.option("--joint/--no-joint", default=True, show_default=True,
+    help="Calibrate the final model with full chains, or with one longer chain (faster).",)
 @seed_option()
 @progress_option()
 def criticize(

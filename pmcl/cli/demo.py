@@ -23,7 +23,7 @@ _FILES = {
 _DRAWS = 600
 
 
-@click.command()
+@click.command(short_help="Simulate a robot, calibrate it and write a report; needs no input.")
 @click.option(
     "--output-dir",
     "folder",

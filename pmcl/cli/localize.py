@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmcl.cli.options import output_option, parameter_values, seed_option, writable_file
+from pmcl import defaults
+from pmcl.cli.options import effects_option, output_option, parameter_values, seed_option, writable_file
 from pmcl.errors import PosteriorError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ _COUNT = click.IntRange(min=1)
 _PARTICLES = click.IntRange(min=2)
 
 
-@click.command()
+@click.command(short_help="Tell where a robot was, with the parameters that a calibration found.")
 @click.argument("log_file", metavar="LOG.nc")
 @output_option("The track to write (NetCDF).")
 @click.option("--posterior", "posterior_file", metavar="POSTERIOR.nc", help="What 'pmcl calibrate' wrote.")
@@ -31,26 +32,48 @@ _PARTICLES = click.IntRange(min=2)
     type=click.Choice(["mean", "map", "posterior", "prior"]),
     default="mean",
     show_default=True,
-    help="theta at its posterior mean; at the best draw; the whole posterior; the prior mean (needs no posterior).",
+    help="Which theta to use. mean: the posterior mean. map: the draw of the greatest joint density. "
+    "posterior: all draws. prior: the prior mean, which needs no posterior.",
 )
 @click.option(
     "--theta",
     metavar="NAME=VALUE",
     multiple=True,
     callback=parameter_values,
-    help="Value of a parameter in place of the method's (may be repeated).",
+    help="Value of a parameter, used instead of what --method gives (may be repeated).",
 )
 @click.option(
-    "--model", "model_file", metavar="FILE.toml", help="The model file of the calibration, if it had one."
+    "--model",
+    "model_file",
+    metavar="FILE.toml",
+    help="Model file; without it the model that the posterior was calibrated with.",
 )
-@click.option("--particles", type=_PARTICLES, default=500, show_default=True, help="Particles.")
+@effects_option()
 @click.option(
-    "--least-particles", type=_PARTICLES, help="Adapt the number of particles to the belief, from these to --particles."
+    "--particles", type=_PARTICLES, default=defaults.LOCALIZATION_PARTICLES, show_default=True,
+    help="Particles of the filter.",
+)  # fmt: skip
+@click.option(
+    "--least-particles", type=_PARTICLES, help="Let the number of particles follow the spread of the belief, "
+    "from this number up to --particles.  [default: always --particles]",
 )
-@click.option("--start-particles", type=_PARTICLES, help="Particles of the first row; --particles.")
-@click.option("--draws", type=_COUNT, help="Draws of the posterior to work with (method posterior); 100.")
-@click.option("--draws-per-reading", type=_COUNT, help="Draws that each row's readings are averaged over; 10.")
-@click.option("--start", type=click.Choice(["log", "anywhere"]), help="Where the robot may begin; as the log says.")
+@click.option("--start-particles", type=_PARTICLES, help="Particles of the first row.  [default: as --particles]")
+@click.option(
+    "--draws",
+    type=_COUNT,
+    help=f"Draws of the posterior to work with (method posterior).  [default: {defaults.LOCALIZATION_DRAWS}]",
+)
+@click.option(
+    "--draws-per-reading",
+    type=_COUNT,
+    help="Draws that the readings of each row are averaged over (method posterior).  [default: "
+    f"{defaults.LOCALIZATION_DRAWS_PER_READING}]",
+)
+@click.option(
+    "--start",
+    type=click.Choice(["log", "anywhere"]),
+    help="Where the robot may begin: where the log says, or anywhere on the map.  [default: as the model says]",
+)
 @click.option("--recover", is_flag=True, help="Look for the robot elsewhere when its readings become unlikely.")
 @seed_option()
 @click.option(

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import click
 
 __all__ = [
+    "effects_option",
     "output_folder",
     "output_option",
     "parameter_values",
@@ -81,10 +82,34 @@ def output_option(what: str, *, required: bool = True) -> Callable[[Command], Co
     )
 
 
+def effects_option() -> Callable[[Command], Command]:
+    """Return the option ``--effects``: while the command runs, names may mean the effects of these files."""
+    return click.option(
+        "--effects",
+        "effect_files",
+        multiple=True,
+        metavar="FILE.py",
+        expose_value=False,
+        is_eager=True,
+        callback=_use_effects,
+        help="Python file with effects of your own, which then count as known (may be repeated); "
+        "'pmcl example own_effect' prints one.",
+    )
+
+
+def _use_effects(ctx: click.Context, param: click.Parameter, paths: tuple[str, ...]) -> None:
+    if paths:
+        from pmcl.models.effects.registry import read_effects, use_effects
+
+        for path in paths:
+            ctx.with_resource(use_effects(read_effects(path)))
+
+
 def seed_option(default: int = 0) -> Callable[[Command], Command]:
     """Return the option ``--seed``."""
     kind = click.IntRange(min=0)
-    return click.option("--seed", type=kind, default=default, show_default=True, help="All randomness follows from it.")
+    told = "Seed of all random numbers; the same seed gives the same result."
+    return click.option("--seed", type=kind, default=default, show_default=True, help=told)
 
 
 def progress_option() -> Callable[[Command], Command]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["report", "tell"]
 
 
-@click.command()
+@click.command(short_help="Write one page about a posterior: verdict, table, figures.")
 @click.argument("posterior", metavar="POSTERIOR.nc")
 @output_option("The page to write (HTML, one file).")
 def report(posterior: str, output: Path) -> None:

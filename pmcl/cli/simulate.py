@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pmcl.cli.options import output_option, parameter_values, seed_option
+from pmcl import defaults
+from pmcl.cli.options import effects_option, output_option, parameter_values, seed_option
 
 if TYPE_CHECKING:
     from pmcl.logs.robot_log import RobotLog
@@ -18,16 +19,22 @@ __all__ = ["simulate"]
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-@click.group()
+@click.group(short_help="Simulate a robot and write its log, with the truth in it.")
 def simulate() -> None:
-    """Simulate a robot and write its log, with the truth beside."""
+    """Simulate a robot and write its log, with the true path and the true parameters in it."""
 
 
 def _options_of_robots(command: Command) -> Command:
     """Return the options that all simulated robots share."""
     options = (
         output_option("The log to write (NetCDF)."),
-        click.option("--duration", type=float, default=400.0, show_default=True, help="Seconds; one row per second."),
+        click.option(
+            "--duration",
+            type=float,
+            default=defaults.SIMULATION_DURATION,
+            show_default=True,
+            help="Length of the log [s]; it has one row per second.",
+        ),
         seed_option(),
         click.option(
             "--theta",
@@ -41,17 +48,19 @@ def _options_of_robots(command: Command) -> Command:
             "effects",
             metavar="NAME[@PLACE][=VALUE]",
             multiple=True,
-            help="An effect that the default model lacks, e.g. range-bias=0.05, beam-bias@2=large (may be repeated); "
-            "without a place one is chosen, without a value the effect is clear. 'pmcl effects' lists them.",
+            help="Add an effect that the default model lacks, e.g. range-bias=0.05, beam-bias@2=large (may be "
+            "repeated). Without a place one is drawn; without a value the effect has its clear size. 'pmcl effects' "
+            "lists the effects.",
         ),
-        click.option("--hide-effects", is_flag=True, help="Do not tell in the log which effects are in it."),
+        effects_option(),
+        click.option("--hide-effects", is_flag=True, help="Do not write into the log which effects are in it."),
     )
     for option in reversed(options):
         command = option(command)
     return command
 
 
-@simulate.command()
+@simulate.command(short_help="The paper's Amigobot: eight sonars in an L-shaped room.")
 @_options_of_robots
 def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float], **effects: Any) -> None:
     """Simulate the paper's Amigobot: eight sonars in an L-shaped room."""
@@ -60,7 +69,7 @@ def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float], 
     _write(simulate_amigobot(duration, seed, theta, **effects, where="simulate amigobot"), output)
 
 
-@simulate.command()
+@simulate.command(short_help="The paper's AIBO: a camera that sees coloured landmarks.")
 @_options_of_robots
 def aibo(output: Path, duration: float, seed: int, theta: dict[str, float], **effects: Any) -> None:
     """Simulate the paper's AIBO: a camera that sees coloured landmarks at the corners of a field."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pmcl.errors import SamplingError
+from pmcl.errors import SamplingError, did_you_mean
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.chains import Chains
 from pmcl.sampling.run import run_ensemble, run_particle_gibbs
@@ -93,8 +92,7 @@ def parse_methods(text: str) -> tuple[Method, ...]:
 
 
 def _hint(name: str) -> str:
-    near = difflib.get_close_matches(name, (*METHODS, *_OTHER_NAMES), 1)
-    return f"; did you mean '{near[0]}'?" if near else "; choose one of them, such as conditional:25"
+    return "; " + did_you_mean(name, (*METHODS, *_OTHER_NAMES), "choose one of them, such as conditional:25")
 
 
 def draw(method: Method, bound: BoundModel, chains: int, seed: int, stopwatch: Stopwatch) -> Chains:

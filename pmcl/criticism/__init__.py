@@ -8,3 +8,25 @@
 used), :mod:`~pmcl.criticism.formulas` and :mod:`~pmcl.criticism.waves` (what no known effect describes).
 :mod:`~pmcl.criticism.search` puts them together. The result goes to :mod:`pmcl.reports` and, as JSON, to files.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.criticism.result import Criticism
+    from pmcl.criticism.workflow import criticize
+
+__all__ = [
+    "Criticism",
+    "criticize",
+]
+
+_HOMES = {
+    "Criticism": "pmcl.criticism.result",
+    "criticize": "pmcl.criticism.workflow",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl import defaults
 from pmcl.criticism.assemble import (
     candidates_of,
     drawn_estimates,
@@ -32,8 +33,8 @@ from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.posterior.calibrate import calibrate
 
@@ -51,9 +52,9 @@ def criticize(
     model: RobotModel | None = None,
     *,
     effects: Sequence[Effect] | None = None,
-    particles: int = 500,
+    particles: int = defaults.CRITICISM_PARTICLES,
     seed: int = 0,
-    level: float = 0.05,
+    level: float = defaults.FALSE_ALARM_LEVEL,
     simulations: int = 30,
     paths: int = 15,
     rounds: int = 3,

@@ -5,3 +5,36 @@
 :class:`~pmcl.localization.online.OnlineLocalizer` takes one time step at a time, on a robot.
 :mod:`~pmcl.localization.metrics` compares tracks with a reference. Results go to files, reports and comparisons.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.localization.many import localize_many
+    from pmcl.localization.offline import localize
+    from pmcl.localization.online import OnlineLocalizer, PoseEstimate
+    from pmcl.localization.options import FilterOptions
+    from pmcl.localization.track import Track
+
+__all__ = [
+    "FilterOptions",
+    "OnlineLocalizer",
+    "PoseEstimate",
+    "Track",
+    "localize",
+    "localize_many",
+]
+
+_HOMES = {
+    "FilterOptions": "pmcl.localization.options",
+    "OnlineLocalizer": "pmcl.localization.online",
+    "PoseEstimate": "pmcl.localization.online",
+    "Track": "pmcl.localization.track",
+    "localize": "pmcl.localization.offline",
+    "localize_many": "pmcl.localization.many",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

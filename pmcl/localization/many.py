@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl import defaults
 from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.localization.metrics import nees, pose_errors, rmse
@@ -84,7 +85,7 @@ def localize_many(
     *,
     theta: Mapping[str, float] | None = None,
     repetitions: int = 1000,
-    particles: int = 500,
+    particles: int = defaults.LOCALIZATION_PARTICLES,
     seed: int = 0,
     options: FilterOptions | None = None,
     threads: int | None = None,

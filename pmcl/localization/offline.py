@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pmcl import defaults
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.setup import prepare
@@ -22,7 +23,7 @@ def localize(
     method: str = "mean",
     *,
     theta: Mapping[str, float] | None = None,
-    particles: int = 500,
+    particles: int = defaults.LOCALIZATION_PARTICLES,
     seed: int = 0,
     options: FilterOptions | None = None,
 ) -> Track:

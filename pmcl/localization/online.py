@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmcl import defaults
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.recent import RecentRows
@@ -92,7 +93,7 @@ class OnlineLocalizer:
         method: str = "mean",
         *,
         theta: Mapping[str, float] | None = None,
-        particles: int = 500,
+        particles: int = defaults.LOCALIZATION_PARTICLES,
         seed: int = 0,
         options: FilterOptions | None = None,
         memory: int = 8,

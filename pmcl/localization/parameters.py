@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import ModelError, PosteriorError
+from pmcl import defaults
+from pmcl.errors import ModelError, PosteriorError, did_you_mean
 from pmcl.localization.options import FilterOptions
 from pmcl.models.parameters import Parameter, prior_support
 from pmcl.models.robot_model import BoundModel
@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 METHODS = ("mean", "map", "posterior", "prior")
 """Ways to choose theta; a given theta replaces what they give."""
 
-_DRAWS, _DRAWS_PER_READING = 100, 10
+_DRAWS, _DRAWS_PER_READING = defaults.LOCALIZATION_DRAWS, defaults.LOCALIZATION_DRAWS_PER_READING
 
 
 def choose_theta(
@@ -139,8 +139,7 @@ def _checked(bound: BoundModel, theta: Mapping[str, float]) -> dict[str, float]:
     known = {parameter.name: parameter for parameter in bound.parameters}
     for name, value in theta.items():
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1, cutoff=0.0)
-            advice = f"did you mean '{near[0]}'?" if near else "leave it out"
+            advice = did_you_mean(name, known, "leave it out")
             raise ModelError(f"theta: expected parameters out of {', '.join(known)}, but got '{name}'; {advice}")
         _check_value(known[name], value)
     return {name: float(value) for name, value in theta.items()}

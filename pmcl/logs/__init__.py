@@ -3,3 +3,51 @@
 :class:`~pmcl.logs.robot_log.RobotLog` is one validated log, in memory an xarray Dataset and on disk a NetCDF file; the
 readers beside it convert published recordings. Logs go to :mod:`pmcl.models`, which binds them to parameters.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.logs.barfoot import read_barfoot
+    from pmcl.logs.camera import sightings_from_camera
+    from pmcl.logs.mrclam import read_mrclam
+    from pmcl.logs.robot_log import RobotLog
+    from pmcl.logs.streams import (
+        beam_rows,
+        landmark_rows,
+        odometry_from_poses,
+        odometry_from_velocities,
+        poses_at,
+        row_times,
+    )
+
+__all__ = [
+    "RobotLog",
+    "beam_rows",
+    "landmark_rows",
+    "odometry_from_poses",
+    "odometry_from_velocities",
+    "poses_at",
+    "read_barfoot",
+    "read_mrclam",
+    "row_times",
+    "sightings_from_camera",
+]
+
+_HOMES = {
+    "RobotLog": "pmcl.logs.robot_log",
+    "read_barfoot": "pmcl.logs.barfoot",
+    "read_mrclam": "pmcl.logs.mrclam",
+    "beam_rows": "pmcl.logs.streams",
+    "landmark_rows": "pmcl.logs.streams",
+    "odometry_from_poses": "pmcl.logs.streams",
+    "odometry_from_velocities": "pmcl.logs.streams",
+    "poses_at": "pmcl.logs.streams",
+    "row_times": "pmcl.logs.streams",
+    "sightings_from_camera": "pmcl.logs.camera",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -5,7 +5,6 @@ Every key may be left out; what is left out is what :func:`pmcl.models.robot_mod
 
 from __future__ import annotations
 
-import difflib
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -13,7 +12,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pmcl.errors import ModelError
+from pmcl.errors import ModelError, did_you_mean
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.effects.selection import effect_named
@@ -115,8 +114,7 @@ def _known_keys(where: str, table: str, given: Mapping[str, Any], known: Iterabl
     for key in given:
         if key not in names:
             full = f"{table}.{key}" if table else key
-            near = difflib.get_close_matches(key, names, 1, cutoff=0.5)
-            advice = f"did you mean '{near[0]}'?" if near else "remove it"
+            advice = did_you_mean(key, names, "remove it")
             _fail(where, full, f"expected one of {', '.join(names)}, but got '{key}'; {advice}")
 
 
@@ -124,8 +122,7 @@ def _choice(where: str, key: str, value: Any, choices: Iterable[str]) -> str:
     names = list(choices)
     if isinstance(value, str) and value in names:
         return value
-    near = difflib.get_close_matches(value, names, 1, cutoff=0.5) if isinstance(value, str) else []
-    advice = f"did you mean '{near[0]}'?" if near else "choose one of these"
+    advice = did_you_mean(str(value), names, "choose one of these")
     _fail(where, key, f"expected {' or '.join(repr(name) for name in names)}, but got {value!r}; {advice}")
 
 

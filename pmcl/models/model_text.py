@@ -11,7 +11,7 @@ from tomlkit.items import Table
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.catalogue import CATALOGUE
+from pmcl.models.effects.registry import known_effects
 from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
 from pmcl.models.parts import Part
 from pmcl.models.prior_file import prior_to_table
@@ -126,13 +126,13 @@ def _sensor(part: Part) -> tuple[str, Table]:
 def _add_effects(document: tomlkit.TOMLDocument, model: RobotModel) -> None:
     if not model.effects:
         return
-    known = {effect.name: effect for effect in CATALOGUE}
+    known = {effect.name: effect for effect in known_effects()}
     tables = tomlkit.aot()
     for effect in model.effects:
         if effect.name not in known or known[effect.name].change is not effect.change:
             raise ModelError(
-                f"expected effects of the catalogue, which a model file can name, but got {effect.name}; "
-                "keep this model in Python"
+                f"expected effects that a model file can name ('pmcl effects' lists them), but got {effect.name}; keep "
+                "this model in Python, or give the effect's file with --effects"
             )
         table = tomlkit.table()
         table["name"] = tomlkit.item(effect.name).comment(effect.summary)

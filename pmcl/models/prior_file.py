@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from typing import Any, NoReturn
 
 import numpy as np
 from scipy import stats
 
-from pmcl.errors import ModelError
+from pmcl.errors import ModelError, did_you_mean
 from pmcl.models.parameters import prior_support
 
 __all__ = ["prior_from_table", "prior_to_table"]
@@ -47,8 +46,7 @@ def prior_from_table(where: str, name: str, table: Any) -> Any:
     known = [*shapes, "loc", "scale"]
     for argument, value in arguments.items():
         if argument not in known:
-            near = difflib.get_close_matches(argument, known, 1, cutoff=0.4)
-            advice = f"did you mean '{near[0]}'?" if near else "remove it"
+            advice = did_you_mean(argument, known, "remove it")
             _fail(
                 where,
                 f"{key}.{argument}",
@@ -94,8 +92,7 @@ def _family(where: str, key: str, name: Any) -> stats.rv_continuous:
     found = _by_name(name) if isinstance(name, str) else None
     if found is None:
         names = [each for each in dir(stats) if _by_name(each) is not None]
-        near = difflib.get_close_matches(str(name), names, 1, cutoff=0.5)
-        advice = f"did you mean '{near[0]}'?" if near else "gamma, lognorm, norm, uniform and beta are usual"
+        advice = did_you_mean(str(name), names, "gamma, lognorm, norm, uniform and beta are usual")
         _fail(where, key, f"expected the name of a continuous distribution of scipy.stats, but got {name!r}; {advice}")
     return found
 

@@ -6,3 +6,36 @@
 :mod:`~pmcl.posterior.diagnostics` says whether they can be believed. The posterior goes on to
 :mod:`pmcl.localization` (which drives a filter with it), :mod:`pmcl.criticism` and :mod:`pmcl.reports`.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.posterior.diagnostics import summarize, verdict
+    from pmcl.posterior.estimates import map_estimate, path_summary, posterior_mean
+    from pmcl.posterior.files import read_posterior, write_posterior
+
+__all__ = [
+    "map_estimate",
+    "path_summary",
+    "posterior_mean",
+    "read_posterior",
+    "summarize",
+    "verdict",
+    "write_posterior",
+]
+
+_HOMES = {
+    "map_estimate": "pmcl.posterior.estimates",
+    "path_summary": "pmcl.posterior.estimates",
+    "posterior_mean": "pmcl.posterior.estimates",
+    "read_posterior": "pmcl.posterior.files",
+    "summarize": "pmcl.posterior.diagnostics",
+    "verdict": "pmcl.posterior.diagnostics",
+    "write_posterior": "pmcl.posterior.files",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

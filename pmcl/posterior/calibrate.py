@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+from pmcl import defaults
 from pmcl.errors import ModelError, SamplingError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_text import model_text
@@ -26,13 +27,13 @@ def calibrate(
     method: str = "particle-gibbs",
     kernel: str = "conditional",
     particles: int | None = None,
-    draws: int = 1000,
-    chains: int = 4,
-    metropolis_steps: int = 5,
+    draws: int = defaults.DRAWS,
+    chains: int = defaults.CHAINS,
+    metropolis_steps: int = defaults.METROPOLIS_STEPS,
     data_rate: int | None = None,
     transport: bool | None = None,
-    burn_in_particles: int = 1000,
-    sweeps_per_draw: int = 2,
+    burn_in_particles: int = defaults.BURN_IN_PARTICLES,
+    sweeps_per_draw: int = defaults.SWEEPS_PER_DRAW,
     trajectories: int = 100,
     seed: int = 0,
     pool: Any = None,
@@ -115,11 +116,11 @@ def calibrate(
         moves = transport if transport is not None else kernel == "conditional"
         plan = Plan(
             kernel=kernel,
-            particles=particles if particles is not None else (25 if kernel == "conditional" else 500),
+            particles=particles if particles is not None else defaults.CALIBRATION_PARTICLES[kernel],
             metropolis_steps=metropolis_steps,
             transport_moves=Plan.transport_moves if moves else 0,
             burn_in_particles=burn_in_particles,
-            data_rate=data_rate if data_rate is not None else math.ceil(max(bound.lengths) / 50),
+            data_rate=data_rate if data_rate is not None else math.ceil(max(bound.lengths) / defaults.DATA_RATE_PARTS),
             draws=draws,
             sweeps_per_draw=sweeps_per_draw,
             trajectories=trajectories,
@@ -128,7 +129,7 @@ def calibrate(
     elif method == "ensemble":
         result = run_ensemble(
             bound,
-            particles=particles if particles is not None else 200,
+            particles=particles if particles is not None else defaults.CALIBRATION_PARTICLES["ensemble"],
             n_walkers=max(chains, 2 * bound.dimension + 2),
             draws=draws,
             burn_in=max(100, draws // 2),

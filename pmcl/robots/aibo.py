@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl import defaults
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.landmarks import LandmarkMap
@@ -46,7 +47,7 @@ _PERIOD = 1.0
 
 
 def simulate_aibo(
-    duration: float = 400.0,
+    duration: float = defaults.SIMULATION_DURATION,
     seed: int = 0,
     theta: Mapping[str, float] | None = None,
     *,

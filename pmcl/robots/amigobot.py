@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmcl import defaults
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
@@ -41,7 +42,7 @@ _PERIOD = 1.0
 
 
 def simulate_amigobot(
-    duration: float = 400.0,
+    duration: float = defaults.SIMULATION_DURATION,
     seed: int = 0,
     theta: Mapping[str, float] | None = None,
     *,

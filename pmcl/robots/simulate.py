@@ -6,7 +6,6 @@ that no model of the log contains. A robot stays inside because it is steered (:
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import ModelError
+from pmcl.errors import ModelError, did_you_mean
 
 # The particle filter's module also registers the kernels of the built-in tables with the contract.
 from pmcl.filtering.kernels import contract
@@ -89,10 +88,8 @@ def draw_theta(
     theta = {parameter.name: float(parameter.prior.rvs(random_state=rng)) for parameter in parameters}
     for name, value in (given or {}).items():
         if name not in theta:
-            near = difflib.get_close_matches(name, theta, 1, cutoff=0.0)
-            raise ModelError(
-                f"theta: expected parameters out of {', '.join(theta)}, but got '{name}'; did you mean '{near[0]}'?"
-            )
+            advice = did_you_mean(name, theta, "leave it out")
+            raise ModelError(f"theta: expected parameters out of {', '.join(theta)}, but got '{name}'; {advice}")
         low, high = next(prior_support(parameter.prior) for parameter in parameters if parameter.name == name)
         if not (low <= value <= high and math.isfinite(value)):
             raise ModelError(

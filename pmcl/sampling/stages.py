@@ -16,6 +16,7 @@ import numpy as np
 from emcee.state import State
 from numpy.typing import NDArray
 
+from pmcl import defaults
 from pmcl.errors import SamplingError
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
@@ -88,15 +89,15 @@ class Plan:
     """
 
     kernel: Any = "conditional"
-    particles: int = 25
-    metropolis_steps: int = 5
+    particles: int = defaults.CALIBRATION_PARTICLES["conditional"]
+    metropolis_steps: int = defaults.METROPOLIS_STEPS
     transport_moves: int = 6
-    burn_in_particles: int = 1000
+    burn_in_particles: int = defaults.BURN_IN_PARTICLES
     data_rate: int = 1
     settle: int = 20
     tuning: tuple[int, ...] = (60, 80, 120)
-    draws: int = 1000
-    sweeps_per_draw: int = 2
+    draws: int = defaults.DRAWS
+    sweeps_per_draw: int = defaults.SWEEPS_PER_DRAW
     trajectories: int = 100
 
 

@@ -11,7 +11,7 @@ from pmcl.criticism.evidence import gather
 from pmcl.criticism.fit import quick_fit
 from pmcl.criticism.scores import directions, fits
 from pmcl.criticism.workflow import criticize
-from pmcl.models.effects.catalogue import candidates
+from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot
 

@@ -26,7 +26,7 @@ from pmcl.criticism.naming import (
 )
 from pmcl.criticism.scores import directions
 from pmcl.criticism.trials import Trial, spare_effects, trial_of_base, try_effect
-from pmcl.models.effects.catalogue import candidates
+from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot

@@ -15,8 +15,8 @@ from pmcl.criticism import scores
 from pmcl.criticism.scores import base_rows, directions, effect_rows
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
-from pmcl.models.effects.catalogue import candidates
 from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.registry import candidates
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot

@@ -16,7 +16,7 @@ from pmcl.criticism.passes import Settings
 from pmcl.criticism.search import Outcome, Search
 from pmcl.criticism.trials import Trial
 from pmcl.errors import FilterError
-from pmcl.models.effects.catalogue import candidates
+from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
 from pmcl.robots.landmark_field import simulate_landmark_field

@@ -33,3 +33,37 @@ Edits run in order at every proposed theta: keep them cheap, return new arrays a
 change what a reading or an increment is expected to be, never the readings themselves. An effect that the plain tables
 cannot express turns them into richer ones first (:mod:`pmcl.models.effects.editing`).
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.models.effects.catalogue import CATALOGUE
+    from pmcl.models.effects.effect import Effect
+    from pmcl.models.effects.registry import candidates, known_effects, read_effects, use_effects
+    from pmcl.models.effects.selection import effect_named
+
+__all__ = [
+    "CATALOGUE",
+    "Effect",
+    "candidates",
+    "effect_named",
+    "known_effects",
+    "read_effects",
+    "use_effects",
+]
+
+_HOMES = {
+    "CATALOGUE": "pmcl.models.effects.catalogue",
+    "Effect": "pmcl.models.effects.effect",
+    "candidates": "pmcl.models.effects.registry",
+    "effect_named": "pmcl.models.effects.selection",
+    "known_effects": "pmcl.models.effects.registry",
+    "read_effects": "pmcl.models.effects.registry",
+    "use_effects": "pmcl.models.effects.registry",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -1,8 +1,7 @@
-"""All effects that pmcl knows."""
+"""All effects that pmcl brings along; :mod:`~pmcl.models.effects.registry` adds those of others."""
 
 from __future__ import annotations
 
-from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.echoes import ECHO_EFFECTS
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.grip import GRIP_EFFECTS
@@ -14,7 +13,7 @@ from pmcl.models.effects.odometry import ODOMETRY_EFFECTS
 from pmcl.models.effects.range_noise import RANGE_NOISE_EFFECTS
 from pmcl.models.effects.ranges import RANGE_EFFECTS
 
-__all__ = ["CATALOGUE", "candidates"]
+__all__ = ["CATALOGUE"]
 
 CATALOGUE: tuple[Effect, ...] = (
     *ODOMETRY_EFFECTS,
@@ -28,8 +27,3 @@ CATALOGUE: tuple[Effect, ...] = (
     *MAP_EFFECTS,
 )
 """Every effect once, in its general form."""
-
-
-def candidates(log: RobotLog) -> tuple[Effect, ...]:
-    """Return every instance of every effect that a log can show."""
-    return tuple(instance for effect in CATALOGUE for instance in effect.instances(log))

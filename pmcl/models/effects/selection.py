@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 
 import numpy as np
 
-from pmcl.errors import ModelError
+from pmcl.errors import ModelError, did_you_mean
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import Effect, Where
+from pmcl.models.effects.registry import known_effects
 from pmcl.models.parameters import prior_support
 from pmcl.models.parts import Float
 
@@ -18,7 +17,7 @@ __all__ = ["effect_named", "parse_effect"]
 
 
 def effect_named(name: str, log: RobotLog | None = None, where: Where | None = None) -> Effect:
-    """Return an effect of the catalogue.
+    """Return the effect of a name: of the catalogue, an installed package, or a file in use.
 
     Parameters
     ----------
@@ -32,13 +31,12 @@ def effect_named(name: str, log: RobotLog | None = None, where: Where | None = N
     Raises
     ------
     ModelError
-        When the catalogue has no such effect, or the log no such place.
+        When there is no such effect, or the log has no such place.
     """
-    found = {effect.name: effect for effect in CATALOGUE}.get(name)
+    known = {effect.name: effect for effect in known_effects()}
+    found = known.get(name)
     if found is None:
-        names = [effect.name for effect in CATALOGUE]
-        near = difflib.get_close_matches(name, names, 1, cutoff=0.4)
-        advice = f"did you mean '{near[0]}'?" if near else "'pmcl effects' lists them"
+        advice = did_you_mean(name, known, "'pmcl effects' lists them; --effects FILE.py adds your own")
         raise ModelError(f"expected the name of an effect, but got '{name}'; {advice}")
     return found if not where or log is None else found.at(where, log)
 

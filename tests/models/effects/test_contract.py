@@ -21,8 +21,9 @@ from oracles.effect_logs import (
     true_values,
 )
 
-from pmcl.models.effects.catalogue import CATALOGUE, candidates
+from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import MAGNITUDES
+from pmcl.models.effects.registry import candidates
 from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.parameters import prior_support, prior_table
 from pmcl.models.rich_tables import uniform

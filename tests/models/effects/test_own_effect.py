@@ -54,10 +54,10 @@ def test_the_documented_effect_can_be_simulated_and_calibrated():
 
 def test_a_model_file_cannot_hold_an_effect_of_ones_own():
     log = sonar_log()
-    with pytest.raises(ModelError, match=r"effects of the catalogue.*torque-steer; keep this model in Python"):
+    with pytest.raises(ModelError, match=r"effects that a model file can name.*torque-steer; keep this model"):
         model_text(documented()["model"], log)
     renamed = replace(documented()["torque_steer"], name="range-bias")
-    with pytest.raises(ModelError, match="effects of the catalogue"):
+    with pytest.raises(ModelError, match="effects that a model file can name"):
         model_text(model_with(log, renamed), log)
 
 
