@@ -144,11 +144,13 @@ def inverse(pose: ArrayLike) -> Float:
     return between(pose, np.zeros(3))
 
 
-def integrate_twist(forward_velocity: ArrayLike, angular_velocity: ArrayLike, dt: ArrayLike) -> Float:
+def integrate_twist(
+    forward_velocity: ArrayLike, angular_velocity: ArrayLike, dt: ArrayLike, left_velocity: ArrayLike = 0.0
+) -> Float:
     """Displacement of a robot that holds its velocities for a while: the exponential map of SE(2), exactly.
 
-    The robot runs along an arc: forward = v dt sin(a)/a, left = v dt (1 - cos(a))/a with a = w dt. Both quotients are
-    evaluated as cardinal sines, which loses no digits however slowly the robot turns.
+    The robot runs along an arc: forward = dt (v sin(a) - u (1 - cos(a)))/a, left = dt (u sin(a) + v (1 - cos(a)))/a with
+    a = w dt. Both quotients are evaluated as cardinal sines, which loses no digits however slowly the robot turns.
 
     Parameters
     ----------
@@ -158,6 +160,8 @@ def integrate_twist(forward_velocity: ArrayLike, angular_velocity: ArrayLike, dt
         w [rad/s], counter-clockwise.
     dt : array_like, shape (...)
         How long the velocities hold [s].
+    left_velocity : array_like, shape (...), optional
+        u [m/s], along the robot's y axis; zero for a robot with wheels that do not slide.
 
     Returns
     -------
@@ -165,12 +169,15 @@ def integrate_twist(forward_velocity: ArrayLike, angular_velocity: ArrayLike, dt
         Forward, left and turn [m, m, rad] in the frame at the start. The turn is w dt and is not wrapped.
     """
     dt = np.asarray(dt, dtype=np.float64)
-    arc, turn = np.broadcast_arrays(
-        np.asarray(forward_velocity, dtype=np.float64) * dt, np.asarray(angular_velocity, dtype=np.float64) * dt
+    arc, turn, aside = np.broadcast_arrays(
+        np.asarray(forward_velocity, dtype=np.float64) * dt,
+        np.asarray(angular_velocity, dtype=np.float64) * dt,
+        np.asarray(left_velocity, dtype=np.float64) * dt,
     )
     half = 0.5 * turn
     # numpy's sinc(x) is sin(pi x) / (pi x); and (1 - cos a) / a = sin(a/2) * sin(a/2) / (a/2).
-    return np.stack((arc * np.sinc(turn / math.pi), arc * np.sin(half) * np.sinc(half / math.pi), turn), axis=-1)
+    along, across = np.sinc(turn / math.pi), np.sin(half) * np.sinc(half / math.pi)
+    return np.stack((arc * along - aside * across, arc * across + aside * along, turn), axis=-1)
 
 
 def _triples(value: ArrayLike, name: str) -> Float:

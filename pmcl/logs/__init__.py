@@ -1,7 +1,9 @@
 """What a robot logged: odometry, range and landmark readings, and the map they were taken in.
 
 :class:`~pmcl.logs.robot_log.RobotLog` is one validated log, in memory an xarray Dataset and on disk a NetCDF file; the
-readers beside it convert published recordings. Logs go to :mod:`pmcl.models`, which binds them to parameters.
+readers beside it convert published recordings. The streams of a robot of your own become the rows of a log with the
+functions of :mod:`~pmcl.logs.odometry`, :mod:`~pmcl.logs.streams` and :mod:`~pmcl.logs.camera`, which this package
+exports. Logs go to :mod:`pmcl.models`, which binds them to parameters.
 """
 
 from __future__ import annotations
@@ -14,15 +16,9 @@ if TYPE_CHECKING:
     from pmcl.logs.barfoot import read_barfoot
     from pmcl.logs.camera import sightings_from_camera
     from pmcl.logs.mrclam import read_mrclam
+    from pmcl.logs.odometry import odometry_from_poses, odometry_from_velocities, poses_at
     from pmcl.logs.robot_log import RobotLog
-    from pmcl.logs.streams import (
-        beam_rows,
-        landmark_rows,
-        odometry_from_poses,
-        odometry_from_velocities,
-        poses_at,
-        row_times,
-    )
+    from pmcl.logs.streams import beam_rows, landmark_rows, row_times
 
 __all__ = [
     "RobotLog",
@@ -43,9 +39,9 @@ _HOMES = {
     "read_mrclam": "pmcl.logs.mrclam",
     "beam_rows": "pmcl.logs.streams",
     "landmark_rows": "pmcl.logs.streams",
-    "odometry_from_poses": "pmcl.logs.streams",
-    "odometry_from_velocities": "pmcl.logs.streams",
-    "poses_at": "pmcl.logs.streams",
+    "odometry_from_poses": "pmcl.logs.odometry",
+    "odometry_from_velocities": "pmcl.logs.odometry",
+    "poses_at": "pmcl.logs.odometry",
     "row_times": "pmcl.logs.streams",
     "sightings_from_camera": "pmcl.logs.camera",
 }

@@ -50,7 +50,13 @@ def regular_times(first: float, last: float, period: float) -> Float:
     return first + period * np.arange(max(count, 0), dtype=np.float64)
 
 
-def hold_and_integrate(hold_times: Float, forward_velocity: Float, angular_velocity: Float, times: Float) -> Float:
+def hold_and_integrate(
+    hold_times: Float,
+    forward_velocity: Float,
+    angular_velocity: Float,
+    times: Float,
+    left_velocity: Float | None = None,
+) -> Float:
     """Integrate piecewise constant velocities between samples, exactly on SE(2).
 
     Parameters
@@ -62,6 +68,8 @@ def hold_and_integrate(hold_times: Float, forward_velocity: Float, angular_veloc
         Forward [m/s] and turning [rad/s].
     times : ndarray, shape (T,)
         Strictly increasing sample times [s], none before ``hold_times[0]``.
+    left_velocity : ndarray, shape (N,), optional
+        To the left [m/s], of a robot that drives in all directions.
 
     Returns
     -------
@@ -71,7 +79,8 @@ def hold_and_integrate(hold_times: Float, forward_velocity: Float, angular_veloc
     inner = hold_times[(hold_times > times[0]) & (hold_times < times[-1])]
     knots = np.union1d(times, inner)
     held = np.searchsorted(hold_times, knots[:-1], side="right") - 1
-    pieces = integrate_twist(forward_velocity[held], angular_velocity[held], np.diff(knots))
+    left = 0.0 if left_velocity is None else left_velocity[held]
+    pieces = integrate_twist(forward_velocity[held], angular_velocity[held], np.diff(knots), left)
     # Dead reckoning from sample to sample in one pass: the sum of turns gives every heading, then pieces add up.
     heading = np.concatenate(([0.0], np.cumsum(pieces[:, 2])))
     start = np.zeros((len(pieces), 3))

@@ -230,8 +230,10 @@ def _located(file: Path, error: Exception) -> ModelError:
         lines.append(error.lineno)
     at = f", line {lines[-1]}" if lines else ""
     # Errors of pmcl say themselves what was expected.
-    told = str(error) if isinstance(error, PmclError) else (
-        f"expected Python code that runs, but got {_in_one_line(error)}; correct it"
+    told = (
+        str(error)
+        if isinstance(error, PmclError)
+        else (f"expected Python code that runs, but got {_in_one_line(error)}; correct it")
     )
     return ModelError(f"{file}{at}: {told}")
 
@@ -257,10 +259,12 @@ class _Located:
 
 
 def _told_by_line(effect: Effect, file: Path) -> Effect:
-    functions = {name: getattr(effect, name) for name in ("change", "needs", "places", "fitted", "tells")}
-    return replace(
-        effect, **{name: _Located(value, file) for name, value in functions.items() if value is not None}
-    )
+    functions: dict[str, Any] = {
+        name: _Located(getattr(effect, name), file)
+        for name in ("change", "needs", "places", "fitted", "tells")
+        if getattr(effect, name) is not None
+    }
+    return replace(effect, **functions)
 
 
 def _arrays(tables: Tables) -> dict[str, Any]:
