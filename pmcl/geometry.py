@@ -149,8 +149,9 @@ def integrate_twist(
 ) -> Float:
     """Displacement of a robot that holds its velocities for a while: the exponential map of SE(2), exactly.
 
-    The robot runs along an arc: forward = dt (v sin(a) - u (1 - cos(a)))/a, left = dt (u sin(a) + v (1 - cos(a)))/a with
-    a = w dt. Both quotients are evaluated as cardinal sines, which loses no digits however slowly the robot turns.
+    The robot runs along an arc with a = w dt: forward = dt (v sin(a) - u (1 - cos(a)))/a and
+    left = dt (u sin(a) + v (1 - cos(a)))/a. Both quotients are evaluated as cardinal sines, which loses no digits
+    however slowly the robot turns.
 
     Parameters
     ----------

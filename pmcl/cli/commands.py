@@ -11,6 +11,7 @@ from pmcl.cli.convert import convert
 from pmcl.cli.criticize import criticize
 from pmcl.cli.demo import demo
 from pmcl.cli.effects import effects
+from pmcl.cli.example import example
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
 from pmcl.cli.simulate import simulate
@@ -28,5 +29,5 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, criticize, compare, localize, report, effects):
+for command in (demo, simulate, convert, calibrate, criticize, compare, localize, report, effects, example):
     pmcl.add_command(command)

@@ -81,7 +81,7 @@ def landmark_rows(
     bearings: ArrayLike | None = None,
     sizes: ArrayLike | None = None,
     max_offset: float | None = None,
-) -> dict[str, Float]:
+) -> dict[str, Any]:
     """Give each sighting of a landmark to the row nearest in time.
 
     Where a landmark was seen several times near one row, the sighting nearest in time counts. How far each reading is
