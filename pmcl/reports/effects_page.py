@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import CARRIERS, MAGNITUDES, Effect
-from pmcl.reports.html import page, write_page
+from pmcl.reports.effect_pictures import plot_effect
+from pmcl.reports.html import Picture, page, picture, write_page
 
 __all__ = ["effect_text", "effects_text", "write_effects_page"]
 
@@ -91,7 +92,7 @@ def _wrapped(text: str, first: str = "", rest: str = "") -> list[str]:
 
 
 def write_effects_page(path: str | os.PathLike[str], effects: Sequence[Effect] = CATALOGUE) -> None:
-    """Write the catalogue as one self-contained HTML file.
+    """Write the catalogue as one self-contained HTML file, with a picture of what each effect does to the data.
 
     Parameters
     ----------
@@ -105,7 +106,15 @@ def write_effects_page(path: str | os.PathLike[str], effects: Sequence[Effect] =
     PosteriorError
         If the file cannot be written.
     """
-    groups = [(heading, [(effect, _rows(effect)) for effect in members]) for heading, members in _groups(effects)]
+    groups = [
+        (heading, [(effect, _rows(effect), _picture(effect)) for effect in members])
+        for heading, members in _groups(effects)
+    ]
     known = {effect.name for effect in effects}
     title = "Effects that pmcl knows"
     write_page(page("effects.html.j2", title=title, groups=groups, known=known, magnitudes=MAGNITUDES), path)
+
+
+def _picture(effect: Effect) -> Picture | None:
+    drawn = plot_effect(effect)
+    return None if drawn is None else picture(drawn.figure, "", drawn.caption)

@@ -5,17 +5,59 @@ from __future__ import annotations
 import base64
 import io
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 from matplotlib.figure import Figure
 
 from pmcl.posterior.files import replacing
+from pmcl.reports.terms import explain_terms
 
-__all__ = ["embedded", "page", "write_page"]
+__all__ = ["Picture", "embedded", "page", "picture", "write_page"]
 
-# At ten inches of width: 1300 pixels, which stay sharp when the page shows them 1000 wide.
-_DOTS_PER_INCH = 130
+# A page shows an inch of a figure as 96 pixels; more dots keep it sharp on fine screens and in print.
+_DOTS_PER_INCH = 140
+_PIXELS_PER_INCH = 96
+# A figure may shrink to this share of its size before its letters of 10 points are hard to read. On a screen that is
+# narrower still the reader moves it to and fro.
+_LEAST_SHARE = 0.62
+
+
+class Picture(NamedTuple):
+    """A figure ready for a page.
+
+    Attributes
+    ----------
+    title, caption : str
+        The title may be empty.
+    source : str
+        The image itself, as a ``data:`` address.
+    width, height, least_width : int
+        Size at which the page shows it, and the width below which it is not shrunk [pixel].
+    """
+
+    title: str
+    caption: str
+    source: str
+    width: int
+    height: int
+    least_width: int
+
+
+def picture(figure: Figure, title: str, caption: str) -> Picture:
+    """Make a figure ready for a page.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    title, caption : str
+
+    Returns
+    -------
+    Picture
+    """
+    width, height = (round(_PIXELS_PER_INCH * float(inches)) for inches in figure.get_size_inches())
+    return Picture(title, caption, embedded(figure), width, height, round(_LEAST_SHARE * width))
 
 
 def embedded(figure: Figure) -> str:
@@ -37,7 +79,7 @@ def embedded(figure: Figure) -> str:
 
 
 def page(template: str, **content: Any) -> str:
-    """Fill a template of this package; all content is escaped.
+    """Fill a template of this package; all content is escaped, and terms are explained where they first appear.
 
     Parameters
     ----------
@@ -58,7 +100,7 @@ def page(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(**content)
+    return explain_terms(environment.get_template(template).render(**content))
 
 
 def write_page(text: str, path: str | os.PathLike[str]) -> None:

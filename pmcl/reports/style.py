@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
 __all__ = [
@@ -31,6 +32,9 @@ POSTERIOR = "#0072B2"
 PRIOR = "#777777"
 FAINT = "#B8B8B8"
 TRUTH: dict[str, Any] = {"color": "black", "linestyle": (0, (4, 2)), "linewidth": 1.3}
+
+# Powers of ten between which numbers at ticks are written in full, such as 0.002.
+_PLAIN_POWERS = (-4, 5)
 
 # Letters in a line of a narrow label, and in a row of a legend.
 _NARROW = 14
@@ -94,7 +98,9 @@ def labelled(name: str, unit: str, *, narrow: bool = False) -> str:
 
 
 def tidy(axes: Axes) -> None:
-    """Take the upper and right frame away and keep ticks few.
+    """Take the upper and right frame away, and write the numbers at the ticks in full.
+
+    Call it after the scales are set.
 
     Parameters
     ----------
@@ -102,6 +108,18 @@ def tidy(axes: Axes) -> None:
     """
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=9)
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            axis.set_major_formatter(FuncFormatter(_plain))
+            axis.set_minor_formatter(NullFormatter())
+        elif isinstance(axis.get_major_formatter(), ScalarFormatter):
+            formatter = ScalarFormatter(useOffset=False)
+            formatter.set_powerlimits(_PLAIN_POWERS)
+            axis.set_major_formatter(formatter)
+
+
+def _plain(value: float, position: int | None = None) -> str:
+    return f"{value:g}"
 
 
 def legend_above(figure: Figure, handles: Iterable[Any]) -> None:

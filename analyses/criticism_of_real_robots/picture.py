@@ -1,0 +1,105 @@
+"""Draw a recorded robot's path by a filter before and after the critic, and its error over the whole drive.
+
+    PMCL_DATA=/folder/with/recordings python picture.py        # a minute on two cores
+
+The models are those that the critic left in create_2.json: the base model, and the base model with the effects that it
+added, each with its posterior means. The filters are those of run.py, so their errors are those of errors.csv. Motion
+capture gives the true path; neither the critic nor the filters read it.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from run import HERE, PARTICLES, REPETITIONS, recordings
+
+from pmcl.localization.many import Runs, localize_many
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import RobotModel, default_model
+
+ROBOT = "Create 2"
+PICTURE = HERE.parent / "pictures" / "before_and_after.png"
+# Seconds of the drive that the maps show; the whole path would cross itself too often to be read.
+SHOWN = 100.0
+BEFORE, AFTER, TRUE = "#D55E00", "#0072B2", "black"
+
+
+def models(log: RobotLog) -> tuple[tuple[RobotModel, dict[str, float]], ...]:
+    """Return base model and final model of the stored criticism, each with its posterior means."""
+    found = json.loads((HERE / f"{ROBOT.replace(' ', '_').lower()}.json").read_text())
+    base = default_model(log)
+    effects = tuple(effect_named(one["name"], log, one["where"]) for one in found["effects"])
+    return tuple(
+        (model, {name: found["parameters"][when][name]["mean"] for name in model.bind(log).names})
+        for model, when in ((base, "before"), (replace(base, effects=effects), "after"))
+    )
+
+
+def typical_run(runs: Runs) -> int:
+    """Return the run whose error is the median one."""
+    return int(np.argsort(runs.position_rmse)[len(runs.seeds) // 2])
+
+
+def typical_window(times: np.ndarray, errors: list[np.ndarray], rmse: list[float]) -> slice:
+    """Return the rows of the window in which both errors are most like those of the whole drive."""
+    starts = np.flatnonzero(times <= times[-1] - SHOWN)[::10]
+    windows = [slice(start, int(np.searchsorted(times, times[start] + SHOWN))) for start in starts]
+
+    def unlike(window: slice) -> float:
+        own = [float(np.sqrt(np.nanmean(error[window] ** 2))) for error in errors]
+        return sum(abs(np.log(one / whole)) for one, whole in zip(own, rmse, strict=True))
+
+    return min(windows, key=unlike)
+
+
+def draw_map(axes, log: RobotLog, path: np.ndarray, window: slice, color: str) -> None:
+    true = log.true_poses[window, :2]
+    axes.plot(*log.landmarks.positions.T, "^", color="#666666", markersize=6, label="landmarks")
+    ties = np.stack([true, path[window, :2]], axis=1)[::4]
+    axes.add_collection(LineCollection(list(ties), colors=color, linewidths=0.6, alpha=0.6))
+    axes.plot(*path[window, :2].T, color=color, linewidth=1.8)
+    axes.plot(*true.T, color=TRUE, linewidth=1.2, label="true path")
+    axes.plot(*true[0], "o", color=TRUE, markersize=6, markerfacecolor="white", label="start")
+    axes.set_aspect("equal", adjustable="box")
+    low, high = true.min(axis=0) - 1.0, true.max(axis=0) + 1.0
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]")
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def main() -> None:
+    """Localize with both models and draw."""
+    log = recordings()[ROBOT]
+    runs = [
+        localize_many(log, model, theta=theta, repetitions=REPETITIONS, particles=PARTICLES)
+        for model, theta in models(log)
+    ]
+    rmse = [float(np.nanmean(one.position_rmse)) for one in runs]
+    print(", ".join(f"{when} {value:.4f} m" for when, value in zip(("before", "after"), rmse, strict=True)))
+    chosen = [typical_run(one) for one in runs]
+    errors = [one.position_error[k] for one, k in zip(runs, chosen, strict=True)]
+    window = typical_window(log.times, errors, rmse)
+    figure = Figure(figsize=(9.0, 6.6), layout="constrained")
+    grid = figure.subplot_mosaic([["before", "after"], ["error", "error"]], height_ratios=[3.0, 1.0])
+    names = ("before", "after")
+    titles = ("noise alone", "with the effects that pmcl criticize found")
+    for name, title, one, k, value, color in zip(names, titles, runs, chosen, rmse, (BEFORE, AFTER), strict=True):
+        draw_map(grid[name], log, one.pose_mean[k], window, color)
+        grid[name].set_title(f"{title}: {value:.2f} m", fontsize=12, color=color, weight="bold")
+    grid["before"].set_ylabel("y [m]")
+    axes = grid["error"]
+    for error, color in zip(errors, (BEFORE, AFTER), strict=True):
+        axes.plot(log.times, error, color=color, linewidth=1.0)
+    axes.axvspan(log.times[window][0], log.times[window][-1], color="#DDDDDD", linewidth=0)
+    axes.text(log.times[window].mean(), 0.97, "shown above", transform=axes.get_xaxis_transform(), ha="center", va="top")
+    axes.set(xlabel="time [s]", ylabel="position error [m]", ylim=(0.0, None), xlim=(0.0, log.times[-1]))
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(*grid["before"].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(PICTURE, dpi=130, metadata={"Software": None})
+    print(f"{PICTURE}: {PICTURE.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
