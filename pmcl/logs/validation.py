@@ -23,6 +23,9 @@ __all__ = ["fail", "validated"]
 
 Float = NDArray[np.float64]
 
+# No bearing and no yaw of a beam is larger; half a degree is left for rounding [rad].
+_ONE_TURN = 2.0 * math.pi + 0.01
+
 
 def fail(where: str, message: str) -> NoReturn:
     """Raise a :class:`~pmcl.errors.LogError` of one line that begins with the place."""
@@ -132,6 +135,7 @@ def _check_ranges(dataset: xr.Dataset, where: str) -> None:
     if "beam_pose" not in dataset:
         fail(where, "expected variable 'beam_pose' (beam, pose) beside 'range', got none: say where each beam sits")
     _require_finite(dataset, "beam_pose", where)
+    _check_beam_yaws(dataset["beam_pose"].values[:, 2], where)
     # The attribute belongs to the readings; on the file as a whole it says the same.
     stated = dataset["range"].attrs.get("max_range", dataset.attrs.get("max_range"))
     max_range = _positive(stated)
@@ -166,6 +170,8 @@ def _check_landmarks(dataset: xr.Dataset, where: str) -> None:
                 f"expected '{name}' finite or NaN (not seen), got {dataset[name].values[row, j]} in row {row} "
                 f"(time {dataset['time'].values[row]:.9g} s), landmark {j}: write NaN there",
             )
+    if "landmark_bearing" in dataset:
+        _check_bearings(dataset, where)
     if "landmark_size" in dataset and "size_at_one_metre" in dataset["landmark_size"].attrs:
         stated = dataset["landmark_size"].attrs["size_at_one_metre"]
         size = _positive(stated)
@@ -177,6 +183,27 @@ def _check_landmarks(dataset: xr.Dataset, where: str) -> None:
         dataset["landmark_size"].attrs["size_at_one_metre"] = size
     if "landmark_sensor_pose" in dataset:
         _require_finite(dataset, "landmark_sensor_pose", where)
+
+
+def _check_beam_yaws(yaws: Float, where: str) -> None:
+    bad = np.flatnonzero(np.abs(yaws) > _ONE_TURN)
+    if bad.size:
+        k = int(bad[0])
+        indices = any(np.array_equal(yaws, np.arange(len(yaws)) + first) for first in (0, 1))
+        advice = "these seem to be the beams' numbers; give directions" if indices else "convert degrees to radians"
+        fail(where, f"expected beam yaws within one turn (+-2 pi rad), got {yaws[k]:g} for beam {k}: {advice}")
+
+
+def _check_bearings(dataset: xr.Dataset, where: str) -> None:
+    bad = np.argwhere(np.abs(dataset["landmark_bearing"].values) > _ONE_TURN)
+    if len(bad):
+        row, j = (int(i) for i in bad[0])
+        fail(
+            where,
+            f"expected 'landmark_bearing' within one turn (+-2 pi rad), got "
+            f"{dataset['landmark_bearing'].values[row, j]:g} in row {row} (time {dataset['time'].values[row]:.9g} s), "
+            f"landmark {j}: convert degrees to radians, or bring angles into one turn",
+        )
 
 
 def landmark_names(dataset: xr.Dataset) -> tuple[str, ...]:

@@ -1,0 +1,250 @@
+"""Mistakes that the numbers of a log show by themselves, without its map and without a filter.
+
+:func:`implausible` costs milliseconds. What only readings and map together can show is the business of
+:mod:`pmcl.preflight`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.logs.arrays import LogArrays
+from pmcl.logs.finding import Finding
+
+__all__ = ["implausible", "without_map"]
+
+Float = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+# Indoor robots, for which Monte Carlo localization on such maps is meant, drive at up to 2 m/s [m/s].
+_FASTEST = 5.0
+# Odometry is integrated over a step as if its turn were small [rad].
+_LARGEST_TURN = 1.0
+# Single rows may hold a glitch of the clock; a wrong unit shows in all rows.
+_SHARE_OF_ROWS = 0.02
+# A robot whose fastest tenth of moves is below both [m/s, rad/s] while its rows are further apart than this [s] has its
+# times in a smaller unit: rows of a slow robot that is rarely recorded are far apart in space as well.
+_SLOWEST, _SLOWEST_TURN, _LONG_PERIOD = 1e-3, 1e-3, 5.0
+# Readings that repeat bit for bit over so many rows ...
+_STUCK_ROWS = 10
+# ... while the robot turned [rad] and drove [m] so far in all. A rounded reading stays the same along a wall; a robot
+# that turns by a radian as well sees another distance or bearing.
+_STUCK_TURN, _STUCK_DISTANCE = 1.0, 0.5
+# No room is so much smaller than the reach of the sensor that is used in it.
+_REACH_TO_MAP = 50.0
+
+
+def implausible(log: LogArrays) -> tuple[Finding, ...]:
+    """Return what the numbers of a log show by themselves.
+
+    Parameters
+    ----------
+    log : LogArrays
+        A validated log.
+
+    Returns
+    -------
+    tuple of Finding
+        All of level "implausible"; empty for a sound log.
+    """
+    if log.n_steps < 2:
+        return ()
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        checks = (_times, _speed, _turns, _zeros, _stuck, _stale, _all_at_max_range, _reach, _beam_yaws)
+        return tuple(finding for check in checks for finding in check(log))
+
+
+def without_map(log: LogArrays) -> tuple[Finding, ...]:
+    """Return a finding when range readings have no walls and no grid map is named beside the log."""
+    if log.ranges is None or log.walls is not None or "map" in log.dataset.attrs:
+        return ()
+    text = "range readings have no map: give walls, or a grid map beside the log when it is used"
+    return (Finding("no-walls", "implausible", False, text),)
+
+
+def _moves(log: LogArrays) -> tuple[Float, Float, Float]:
+    """Return distance [m], size of turn [rad] and duration [s] of each step, (T - 1,)."""
+    step = log.odometry[1:]
+    return np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2]), np.diff(log.times)
+
+
+def _times(log: LogArrays) -> Iterator[Finding]:
+    distance, turn, period = _moves(log)
+    moving = (distance > 0.0) | (turn > 0.0)
+    if not moving.any():
+        return
+    fast = float(np.quantile(distance[moving] / period[moving], 0.9))
+    fast_turn = float(np.quantile(turn[moving] / period[moving], 0.9))
+    median = float(np.median(period))
+    if fast > _SLOWEST or fast_turn > _SLOWEST_TURN or median < _LONG_PERIOD:
+        return
+    units = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+    factor = next((f for f in units if max(fast, fast_turn) * f > _SLOWEST_TURN), 1e9)
+    yield Finding(
+        f"times-in-{units[factor]}",
+        "implausible",
+        True,
+        f"rows are {median:.3g} s apart and the robot drives at {fast:.2g} m/s and {fast_turn:.2g} rad/s at most: times "
+        f"seem to be in {units[factor]}; divide them by {factor:.0e}",
+    )
+
+
+def _speed(log: LogArrays) -> Iterator[Finding]:
+    distance, _, period = _moves(log)
+    speed = distance / period
+    if np.mean(speed > _FASTEST) > _SHARE_OF_ROWS:
+        row = int(np.argmax(speed)) + 1
+        yield Finding(
+            "fast",
+            "implausible",
+            False,
+            f"odometry says {speed[row - 1]:.3g} m/s in row {row}, and more than {_FASTEST:g} m/s in "
+            f"{np.mean(speed > _FASTEST):.0%} of the rows: check the units of odometry and time, and that odometry "
+            "holds the displacement since the row before",
+        )
+
+
+def _turns(log: LogArrays) -> Iterator[Finding]:
+    _, turn, _ = _moves(log)
+    if np.mean(turn > _LARGEST_TURN) > _SHARE_OF_ROWS:
+        row = int(np.argmax(turn)) + 1
+        yield Finding(
+            "large-turns",
+            "implausible",
+            False,
+            f"odometry says a turn of {turn[row - 1]:.3g} rad in row {row}, and more than {_LARGEST_TURN:g} rad in "
+            f"{np.mean(turn > _LARGEST_TURN):.0%} of the rows: check that turns are in radians and hold the change "
+            "since the row before, or take rows more often",
+        )
+
+
+def _zeros(log: LogArrays) -> Iterator[Finding]:
+    """Landmark readings of exactly zero, far more often than any other number: a continuous reading never does that."""
+    channels = (
+        ("range", log.landmark_range),
+        ("bearing", log.landmark_bearing),
+        ("size", log.landmark_size),
+    )
+    for name, values in channels:
+        if values is None:
+            continue
+        seen = values[~np.isnan(values)]
+        n_zeros = int(np.count_nonzero(seen == 0.0))
+        if n_zeros < 3 or n_zeros < 0.02 * seen.size:
+            continue
+        _, counts = np.unique(seen[seen != 0.0], return_counts=True)
+        if counts.size and n_zeros < 10 * int(counts.max()):
+            continue
+        yield Finding(
+            "zero-for-not-seen",
+            "implausible",
+            True,
+            f"{n_zeros} of {seen.size} readings of landmark {name} are exactly 0: write NaN where nothing was seen",
+        )
+
+
+def _channels(log: LogArrays) -> Iterator[tuple[str, int, Float]]:
+    """Yield sensor, number and readings (T,) of each beam and each landmark's channel; no echo and zero are NaN."""
+    if log.ranges is not None:
+        sound = np.where((log.ranges > 0.0) & (log.ranges < log.max_range), log.ranges, np.nan)
+        for k, values in enumerate(sound.T):
+            yield "beam", k, values
+    for name, table in (("range", log.landmark_range), ("bearing", log.landmark_bearing), ("size", log.landmark_size)):
+        if table is not None:
+            for k, values in enumerate(np.where(table != 0.0, table, np.nan).T):
+                yield f"{name} of landmark", k, values
+
+
+def _stuck(log: LogArrays) -> Iterator[Finding]:
+    distance, turn, _ = _moves(log)
+    travelled = np.append(0.0, np.cumsum(distance))
+    turned = np.append(0.0, np.cumsum(turn))
+    for name, number, values in _channels(log):
+        rows = np.flatnonzero(~np.isnan(values))
+        if rows.size < _STUCK_ROWS:
+            continue
+        breaks = np.flatnonzero(np.diff(values[rows]) != 0.0) + 1
+        runs = np.split(rows, breaks)
+        run = max(runs, key=len)
+        if len(run) < _STUCK_ROWS:
+            continue
+        far = travelled[run[-1]] - travelled[run[0]], turned[run[-1]] - turned[run[0]]
+        if far[0] > _STUCK_DISTANCE and far[1] > _STUCK_TURN:
+            yield Finding(
+                "stuck-sensor",
+                "implausible",
+                True,
+                f"{name} {number} reads {values[run[0]]:.6g} in {len(run)} readings on end, rows {run[0]} to "
+                f"{run[-1]}, while the robot drives {far[0]:.2g} m and turns {far[1]:.2g} rad: remove what a stuck "
+                "sensor wrote (NaN: not measured)",
+            )
+            return
+
+
+def _stale(log: LogArrays) -> Iterator[Finding]:
+    """Whole rows of readings that are repeated bit for bit while the robot moves."""
+    table = np.stack([values for _, _, values in _channels(log)], axis=1)
+    known = ~np.isnan(table)
+    distance, turn, _ = _moves(log)
+    moving = (distance > 0.0) | (turn > 0.0)
+    # One rounded reading may well come twice; three and more at once do not.
+    comparable = moving & (known[1:].sum(axis=1) >= 2) & (known[:-1].sum(axis=1) >= 2)
+    same = comparable & ((table[1:] == table[:-1]) | (~known[1:] & ~known[:-1])).all(axis=1)
+    n_same, n_rows = int(same.sum()), int(comparable.sum())
+    if n_same >= 5 and n_same > 0.05 * n_rows:
+        row = int(np.flatnonzero(same)[0]) + 1
+        yield Finding(
+            "stale-readings",
+            "implausible",
+            True,
+            f"{n_same} of {n_rows} rows repeat all readings of the row before while the robot moves, first row {row}: "
+            "write NaN where nothing new was measured",
+        )
+
+
+def _all_at_max_range(log: LogArrays) -> Iterator[Finding]:
+    if log.ranges is None:
+        return
+    measured = ~np.isnan(log.ranges)
+    if measured.sum() >= 10 and (log.ranges[measured] >= log.max_range).mean() > 0.98:
+        finite = log.ranges[np.isfinite(log.ranges)]
+        shortest = f", the shortest {finite.min():.4g}" if finite.size else ""
+        yield Finding(
+            "all-at-max-range",
+            "implausible",
+            True,
+            f"nearly all {measured.sum()} range readings are at or beyond max_range = {log.max_range:g} m{shortest}: "
+            "check the units of readings and max_range",
+        )
+
+
+def _reach(log: LogArrays) -> Iterator[Finding]:
+    if log.ranges is None or log.walls is None:
+        return
+    x_low, x_high, y_low, y_high = log.walls.bounds
+    longest = float(np.hypot(x_high - x_low, y_high - y_low))
+    if log.max_range > _REACH_TO_MAP * longest:
+        yield Finding(
+            "max-range-too-long",
+            "implausible",
+            False,
+            f"max_range is {log.max_range:g} m, but the walls are nowhere further apart than {longest:.3g} m: "
+            "check that both are in metres",
+        )
+
+
+def _beam_yaws(log: LogArrays) -> Iterator[Finding]:
+    if log.beam_poses is None or len(log.beam_poses) < 4:
+        return
+    yaws = log.beam_poses[:, 2]
+    if any(np.array_equal(yaws, np.arange(len(yaws)) + first) for first in (0, 1)):
+        yield Finding(
+            "beam-yaws-are-indices",
+            "implausible",
+            True,
+            f"the yaws of the {len(yaws)} beams are {yaws[0]:g}, {yaws[1]:g}, ... {yaws[-1]:g} rad: these seem to be "
+            "the beams' numbers; give the direction of each beam in radians",
+        )

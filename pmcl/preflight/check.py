@@ -1,0 +1,218 @@
+"""Is this log what it says it is? The findings of :mod:`pmcl.preflight` for one log."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from pmcl.errors import LogError
+from pmcl.logs.finding import Finding, warn_of
+from pmcl.logs.plausibility import implausible
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.preflight.evidence import LEVELS, evidence_of
+from pmcl.preflight.hypotheses import Hypothesis, hypotheses_of
+from pmcl.preflight.readings import Noise
+from pmcl.preflight.stretch import Stretch, stretch_of
+from pmcl.preflight.unrelated import evidence_of_no_relation
+
+__all__ = ["checked", "disagreements", "preflight", "require_rows"]
+
+Float = NDArray[np.float64]
+
+# Rows that are looked at, and particles for each way to read the log and each pair of noise levels. A robot that may
+# be anywhere needs more particles, and then fewer rows do.
+_ROWS, _PARTICLES = 160, 200
+_ROWS_ANYWHERE, _PARTICLES_ANYWHERE = 100, 2000
+# The best mistake and the log as it is are compared again, by so many times the particles.
+_FINER = 5
+# Chance of naming some mistake in a sound log that the model describes, by the union bound and Ville's inequality, on
+# either half of the rows alone; both halves must tell the same.
+_ERROR_RATE = 1e-3
+# Real logs are never quite what the model describes: the gain of blocks of rows must also be this many standard errors.
+_STANDARD_ERRORS = 3.0
+_BLOCKS = 10
+# Too few rows tell nothing.
+_LEAST_ROWS = 10
+# Odometry is too small to matter when the motion that the readings show is so many times as large.
+_TOO_SMALL = 4.0
+
+
+def preflight(log: RobotLog, model: RobotModel | None = None) -> tuple[Finding, ...]:
+    """Look for plausible mistakes in a log, in about a second.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log. Its reference trajectory and true parameters are never read.
+    model : RobotModel, optional
+        Its priors tell how much noise is usual; the default model of the log when left out.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty for a sound log. What is impossible is no finding: such a log cannot be built or read at all.
+
+    Notes
+    -----
+    Each mistake is a way to read the log, whose evidence is compared with that of the log as it is. A mistake is named
+    when each half of the rows that are looked at (160 at most) speaks for it by more than log(number of mistakes /
+    0.001) nats, the gains of ten blocks are three standard errors above zero, and both hold again with five times the
+    particles. Where two ways to read a log explain it equally well, as in a symmetric room, nothing is said.
+    """
+    found = implausible(log)
+    return (*found, *disagreements(log, model, {finding.name for finding in found}))
+
+
+def checked(logs: Sequence[RobotLog], model: RobotModel | None = None) -> str:
+    """Look for plausible mistakes in several logs, warn of them, and return them as a file keeps them.
+
+    Parameters
+    ----------
+    logs : sequence of RobotLog
+        Logs of one robot.
+    model : RobotModel, optional
+        As for :func:`preflight`.
+
+    Returns
+    -------
+    str
+        A JSON list of objects ``{"name", "level", "mistake", "message"}``, with the number of its log as ``"log"``
+        where there are several.
+    """
+    entries: list[dict[str, str | bool | int]] = []
+    for number, log in enumerate(logs):
+        findings = preflight(log, model)
+        warn_of(findings, log.where)
+        place: dict[str, int] = {"log": number} if len(logs) > 1 else {}
+        entries += [{**finding.as_dict(), **place} for finding in findings]
+    return json.dumps(entries)
+
+
+def require_rows(log: RobotLog) -> None:
+    """Raise LogError for a log of a single row, in which nothing moves."""
+    if log.n_steps < 2:
+        raise LogError(
+            f"{log.where}: expected at least two rows, between which the robot moves, but got {log.n_steps}; "
+            "record longer"
+        )
+
+
+def disagreements(log: RobotLog, model: RobotModel | None = None, known: set[str] | None = None) -> tuple[Finding, ...]:
+    """Return what readings, odometry and map show together: the second half of :func:`preflight`.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log.
+    model : RobotModel, optional
+        As for :func:`preflight`.
+    known : set of str, optional
+        Names of findings that are known already and need not be named again.
+    """
+    if not _has_map(log):
+        return ()
+    anywhere = not np.isfinite(log.start_std).all()
+    stretch = stretch_of(log, _ROWS_ANYWHERE if anywhere else _ROWS)
+    if stretch.rows.size < _LEAST_ROWS:
+        return ()
+    particles = _PARTICLES_ANYWHERE if anywhere else _PARTICLES
+    noise = _usual_noise(log, model)
+    found = _mistake(log, stretch, noise, particles)
+    return tuple(finding for finding in found if finding.name not in (known or set()))
+
+
+def _has_map(log: RobotLog) -> bool:
+    return (log.ranges is not None and log.walls is not None) or any(
+        values is not None for values in (log.landmark_range, log.landmark_bearing, log.landmark_size)
+    )
+
+
+def _mistake(log: RobotLog, stretch: Stretch, noise: Noise, particles: int) -> tuple[Finding, ...]:
+    ways = hypotheses_of(log)
+    evidence = evidence_of(log, stretch, ways, noise, particles, seed=0)
+    gains = evidence.rows - evidence.rows[0]
+    unrelated = evidence_of_no_relation(log, stretch)
+    order = np.argsort(-np.where(np.isnan(gains).any(axis=1), -np.inf, gains.sum(axis=1)))
+    best = int(order[0])
+    if best != 0 and _tells(gains[best], len(ways)):
+        again = evidence_of(log, stretch, (ways[0], ways[best]), noise, _FINER * particles, seed=1)
+        gain = again.rows[1] - again.rows[0]
+        if _tells(gain, len(ways)) and again.rows[1].sum() > unrelated.sum():
+            return (_named(ways[best], float(gain.sum()), stretch),)
+    if _tells(unrelated - evidence.rows[0], len(ways)):
+        finer = evidence_of(log, stretch, ways[:1], noise, _FINER * particles, seed=1)
+        if _tells(unrelated - finer.rows[0], len(ways)):
+            return (_unrelated(float((unrelated - finer.rows[0]).sum()), stretch),)
+    return _disagreeing(log, stretch, evidence.levels, noise, len(ways))
+
+
+def _tells(gain: Float, n_ways: int) -> bool:
+    """Tell whether the gains of each row (K,) [nat] speak for another explanation beyond doubt."""
+    if np.isnan(gain).any():
+        return False
+    halves = np.array([part.sum() for part in np.array_split(gain, 2)])
+    blocks = np.array([part.sum() for part in np.array_split(gain, _BLOCKS)])
+    error = float(blocks.std(ddof=1)) / math.sqrt(_BLOCKS)
+    return bool((halves > math.log(n_ways / _ERROR_RATE)).all() and blocks.mean() > _STANDARD_ERRORS * error)
+
+
+def _named(way: Hypothesis, gain: float, stretch: Stretch) -> Finding:
+    text = f"{way.finding}: so read, {stretch.rows.size} rows are explained better by {gain:.0f} nats; {way.advice}"
+    return Finding(way.name, "implausible", True, text)
+
+
+def _unrelated(gain: float, stretch: Stretch) -> Finding:
+    return Finding(
+        "readings-unrelated-to-map",
+        "implausible",
+        True,
+        f"readings and map have nothing to do with each other, whatever the noise: that readings follow a distribution "
+        f"of their own explains {stretch.rows.size} rows better by {gain:.0f} nats; check the map, which landmark is "
+        "which, the start, and units and signs of readings and odometry",
+    )
+
+
+def _disagreeing(log: RobotLog, stretch: Stretch, levels: Float, noise: Noise, n_ways: int) -> tuple[Finding, ...]:
+    """Tell when the readings show motion of another size than the odometry."""
+    steps = np.asarray(log.odometry[1 : stretch.rows[-1] + 1])
+    distance, turn = np.sqrt(np.mean(steps**2, axis=0) @ np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    moving = np.array(LEVELS)[:, None] * np.array([np.hypot(noise.motion[0], noise.motion[1]), noise.motion[2]])
+    larger = (moving > _TOO_SMALL * np.array([distance, turn])).all(axis=1)
+    by_level = logsumexp(levels, axis=1)
+    best = int(np.argmax(by_level))
+    # Where every level is far above the odometry, the lowest one stands for a robot that hardly moves.
+    small = ~larger if not larger.all() else np.arange(len(LEVELS)) == 0
+    gain = float(by_level[best] - by_level[small].max())
+    if not larger[best] or gain < 2.0 * math.log(n_ways / _ERROR_RATE):
+        return ()
+    return (
+        Finding(
+            "odometry-disagrees",
+            "implausible",
+            True,
+            f"odometry says {distance:.2g} m and {turn:.2g} rad in a row, while readings show some "
+            f"{moving[best, 0]:.2g} m and {moving[best, 1]:.2g} rad: check that odometry is recorded, its units, and "
+            "that odometry, readings and map belong together",
+        ),
+    )
+
+
+def _usual_noise(log: RobotLog, model: RobotModel | None) -> Noise:
+    usual = {parameter.name: float(parameter.prior.mean()) for parameter in default_model(log).parameters}
+    if model is not None:
+        given = {parameter.name: float(parameter.prior.mean()) for parameter in model.parameters}
+        given |= {name: float(value) for name, value in model.fixed.items()}
+        usual |= {name: value for name, value in given.items() if 0.0 < value < math.inf}
+    return Noise(
+        motion=np.array([usual["sigma_forward"], usual["sigma_left"], usual["sigma_turn"]]),
+        beam=usual.get("sigma_range", math.nan),
+        range=usual.get("sigma_landmark_range", math.nan),
+        bearing=usual.get("sigma_bearing", math.nan),
+        size=usual.get("sigma_size", math.nan),
+    )
