@@ -83,7 +83,12 @@ def barfoot(source: str, output: Path, **settings: Any) -> None:
 
 
 def _write(log: RobotLog, output: Path) -> None:
+    from pmcl.logs.finding import warn_of
+    from pmcl.preflight.check import disagreements
+
     log.write(output)
+    # What the numbers show by themselves was warned of when the log was built.
+    warn_of(disagreements(log), str(output))
     span = log.times[-1] - log.times[0]
     click.echo(f"{output}: {log.robot}, {log.n_steps} samples over {span:.0f} s, {log.n_readings} readings")
     dropped = {name: value for name, value in log.dataset.attrs.items() if str(name).startswith("dropped_") and value}

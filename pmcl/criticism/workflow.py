@@ -37,6 +37,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.posterior.calibrate import calibrate
+from pmcl.preflight.check import checked_logs
 
 __all__ = ["criticize"]
 
@@ -120,6 +121,7 @@ def criticize(
     settings = Settings(particles, seed, level, simulations, paths, workers or os.cpu_count() or 1, progress)
     log = log.without_truth()
     _check(log, simulations, level, rounds)
+    checked_logs((log,), model)
     offered = candidates(log) if effects is None else effects
     return _Loop(model or default_model(log), Search(log, offered, settings)).run(rounds, joint, draws)
 

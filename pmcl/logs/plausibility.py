@@ -87,8 +87,8 @@ def _times(log: LogArrays) -> Iterator[Finding]:
         f"times-in-{units[factor]}",
         "implausible",
         True,
-        f"rows are {median:.3g} s apart and the robot drives at {fast:.2g} m/s and {fast_turn:.2g} rad/s at most: times "
-        f"seem to be in {units[factor]}; divide them by {factor:.0e}",
+        f"rows are {median:.3g} s apart and the robot drives at {fast:.2g} m/s and {fast_turn:.2g} rad/s at most: "
+        f"times seem to be in {units[factor]}; divide them by {factor:.0e}",
     )
 
 

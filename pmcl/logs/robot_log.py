@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from pmcl.errors import MapError
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.assemble import assemble
+from pmcl.logs.finding import warn_of
 from pmcl.logs.netcdf import read_dataset, write_dataset
+from pmcl.logs.plausibility import implausible, without_map
 from pmcl.logs.schema import REFERENCE
 from pmcl.logs.validation import fail, validated
 from pmcl.maps.landmarks import LandmarkMap
@@ -101,6 +103,7 @@ class RobotLog(LogArrays):
         seed: int | None = None,
         attributes: Mapping[str, object] | None = None,
         where: str = "RobotLog.build",
+        warn: bool = True,
     ) -> RobotLog:
         """Build a log from arrays.
 
@@ -142,6 +145,10 @@ class RobotLog(LogArrays):
             Further attributes of the file; text or numbers.
         where : str, optional
             The caller, for messages.
+        warn : bool, optional
+            Whether to warn (logger ``pmcl.preflight``) of what is implausible in the numbers themselves:
+            :func:`~pmcl.logs.plausibility.implausible`; and of range readings without walls, which are in order when
+            a grid map is given beside the log.
 
         Returns
         -------
@@ -182,7 +189,10 @@ class RobotLog(LogArrays):
             "max_range": max_range,
             "size_at_one_metre": size_at_one_metre,
         }
-        return cls(assemble(arrays, {**(attributes or {}), **stated}, where, names), where)
+        log = cls(assemble(arrays, {**(attributes or {}), **stated}, where, names), where)
+        if warn:
+            warn_of((*implausible(log), *without_map(log)), where)
+        return log
 
     def require_map(self) -> None:
         """Check that ranges can be explained by a map in the log; not needed when a grid map is given beside it.

@@ -14,6 +14,7 @@ from pmcl.models.model_text import model_text
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.convert import to_arviz
+from pmcl.preflight.check import checked_logs, require_rows
 from pmcl.sampling.run import run_ensemble, run_particle_gibbs
 from pmcl.sampling.stages import Plan
 
@@ -98,6 +99,8 @@ def calibrate(
     """
     logs = (logs,) if isinstance(logs, RobotLog) else tuple(logs)
     _check_sizes(draws=draws, chains=chains, sweeps_per_draw=sweeps_per_draw, burn_in_particles=burn_in_particles)
+    for log in logs:
+        require_rows(log)
     if model is None and logs:
         model = default_model(logs[0])
     bound = (model or RobotModel()).bind(logs)
@@ -108,7 +111,8 @@ def calibrate(
         "checkpoint": os.fspath(checkpoint) if checkpoint is not None else None,
         "resume": resume,
         "progress": progress,
-        "settings": {"model": _model_text(bound)},
+        # Plausible mistakes in the logs are warned of before sampling, and stay with the result.
+        "settings": {"model": _model_text(bound), "preflight": checked_logs(bound.logs, model)},
     }
     if method == "particle-gibbs":
         if kernel not in ("conditional", "smoothing"):

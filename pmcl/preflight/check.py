@@ -21,7 +21,7 @@ from pmcl.preflight.readings import Noise
 from pmcl.preflight.stretch import Stretch, stretch_of
 from pmcl.preflight.unrelated import evidence_of_no_relation
 
-__all__ = ["checked", "disagreements", "preflight", "require_rows"]
+__all__ = ["checked_logs", "disagreements", "preflight", "require_rows"]
 
 Float = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def preflight(log: RobotLog, model: RobotModel | None = None) -> tuple[Finding, 
     return (*found, *disagreements(log, model, {finding.name for finding in found}))
 
 
-def checked(logs: Sequence[RobotLog], model: RobotModel | None = None) -> str:
+def checked_logs(logs: Sequence[RobotLog], model: RobotModel | None = None) -> str:
     """Look for plausible mistakes in several logs, warn of them, and return them as a file keeps them.
 
     Parameters

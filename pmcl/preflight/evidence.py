@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from pmcl.geometry import compose
 from pmcl.logs.arrays import LogArrays
 from pmcl.preflight.hypotheses import Hypothesis
 from pmcl.preflight.readings import Noise, Sensors
@@ -73,7 +72,9 @@ class _Groups(NamedTuple):
     heading: Float
 
     def kept(self, keep: NDArray[np.bool_]) -> _Groups:
-        return _Groups(*(values[keep] for values in self))
+        way, motion, sensor = (values[keep] for values in self[:3])
+        total, x, y, heading = (values[keep] for values in self[3:])
+        return _Groups(way, motion, sensor, total, x, y, heading)
 
 
 def evidence_of(

@@ -75,7 +75,8 @@ class Sensors:
             self._take_beams(log, ways)
 
     def _take_beams(self, log: LogArrays, ways: Sequence[Hypothesis]) -> None:
-        assert log.ranges is not None and log.walls is not None
+        assert log.ranges is not None
+        assert log.walls is not None
         self.vertices, self.wall_start, self.wall_stop = log.walls.vertices_and_edges()
         self.beam_poses = np.stack([way.beam_poses for way in ways if way.beam_poses is not None])
         self.max_range = log.max_range * np.array([way.max_range_factor for way in ways])
@@ -186,8 +187,8 @@ class Sensors:
 def width_beyond(log: LogArrays) -> float:
     """Return over how many metres readings beyond max_range spread.
 
-    Sensors mark "no echo" by one number, which has no width (1). Numbers that differ are readings in truth, and cost the
-    density of a number.
+    Sensors mark "no echo" by one number, which has no width (1). Numbers that differ are readings in truth, and cost
+    the density of a number.
     """
     if log.ranges is None:
         return 1.0

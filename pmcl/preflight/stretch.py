@@ -108,4 +108,5 @@ def _readings(log: LogArrays, row: int, sighted: NDArray[np.bool_], measured: ND
 def _some(which: Int, most: int) -> Int:
     if which.size <= most:
         return which
-    return which[np.linspace(0, which.size - 1, most).round().astype(int)]
+    chosen: Int = which[np.linspace(0, which.size - 1, most).round().astype(int)]
+    return chosen

@@ -111,6 +111,7 @@ def simulate_landmark_field(
             source=f"pmcl.robots.landmark_field, seed {seed}",
             seed=seed,
             where="simulate_landmark_field",
+            warn=False,  # half-made logs are no mistakes
             landmark_range=readings.get("range"),
             landmark_bearing=readings.get("bearing"),
         )
