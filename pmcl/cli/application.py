@@ -1,6 +1,7 @@
 """How every command behaves: errors in one line, exit statuses, messages on stderr.
 
-Exit status: 0 done, 2 bad input or usage, 3 the chains have not converged, 130 interrupted.
+Exit status: 0 done, 2 bad input or usage, 3 the chains have not converged, 4 they have, but readings and model
+disagree, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ import click
 
 from pmcl.errors import PmclError
 
-__all__ = ["INTERRUPTED", "NOT_CONVERGED", "Application", "on_interrupt"]
+__all__ = ["DOES_NOT_FIT", "INTERRUPTED", "NOT_CONVERGED", "Application", "on_interrupt"]
 
-BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
+BAD_INPUT, NOT_CONVERGED, DOES_NOT_FIT, INTERRUPTED = 2, 3, 4, 130
 _ON_INTERRUPT = "pmcl.on_interrupt"
 
 

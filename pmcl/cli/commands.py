@@ -25,7 +25,8 @@ def pmcl() -> None:
     """Bayesian calibration for Monte Carlo localization.
 
     From what a robot logged and a map to the posterior of the noise parameters of its motion and sensors.
-    Exit status: 0 done, 2 bad input or usage, 3 the chains have not converged.
+    Exit status: 0 done, 2 bad input or usage, 3 the chains have not converged,
+    4 they have, but readings and model disagree.
     """
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmcl.cli.application import NOT_CONVERGED
+from pmcl.cli.application import DOES_NOT_FIT, NOT_CONVERGED
 from pmcl.cli.options import output_option
 
 if TYPE_CHECKING:
@@ -42,4 +42,6 @@ def tell(data: Posterior) -> int:
     judged = verdict(data, summary)
     for line in (judged.message, *judged.advice):
         click.echo(line)
-    return 0 if judged.converged else NOT_CONVERGED
+    if not judged.converged:
+        return NOT_CONVERGED
+    return 0 if judged.good else DOES_NOT_FIT

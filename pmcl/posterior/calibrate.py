@@ -14,6 +14,7 @@ from pmcl.models.model_text import model_text
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.convert import to_arviz
+from pmcl.posterior.predictive_check import checked
 from pmcl.preflight.check import checked_logs, require_rows
 from pmcl.sampling.run import run_ensemble, run_particle_gibbs
 from pmcl.sampling.stages import Plan
@@ -41,6 +42,7 @@ def calibrate(
     checkpoint: str | os.PathLike[str] | None = None,
     resume: bool = False,
     progress: bool = False,
+    check: bool = True,
 ) -> Posterior:
     """Draw from the posterior of a robot's noise parameters, given what it logged.
 
@@ -82,11 +84,15 @@ def calibrate(
         Continue the checkpoint; the result is identical to that of an uninterrupted run.
     progress : bool
         Show progress bars.
+    check : bool
+        Whether to end with a check of the calibrated model on its own logs, which takes seconds, and to keep what it
+        foresaw; without it the verdict only tells of convergence.
 
     Returns
     -------
     arviz.InferenceData or xarray.DataTree
-        Depending on the version of ArviZ: groups as in the file format; see :func:`pmcl.posterior.diagnostics.verdict`.
+        Depending on the version of ArviZ: groups as in the file format. Whether the chains have converged, and whether
+        the model fits the logs, says :func:`pmcl.posterior.diagnostics.verdict`.
 
     Raises
     ------
@@ -143,7 +149,8 @@ def calibrate(
         )
     else:
         raise SamplingError(f"expected method 'particle-gibbs' or 'ensemble', but got '{method}'")
-    return to_arviz(result, bound.parameters, bound.logs)
+    data = to_arviz(result, bound.parameters, bound.logs)
+    return checked(data, bound, seed) if check else data
 
 
 def _model_text(bound: BoundModel) -> str:

@@ -25,6 +25,7 @@ __all__ = [
     "assemble",
     "attributes",
     "bulk_ess",
+    "extended",
     "find_group",
     "group_names",
     "load_netcdf",
@@ -71,6 +72,26 @@ def assemble(groups: Mapping[str, xr.Dataset], attrs: Mapping[str, Any]) -> Post
         root = xr.Dataset(attrs=dict(attrs))
         return xr.DataTree.from_dict({"/": root, **groups})
     return _arviz().InferenceData(attrs=dict(attrs), **groups)
+
+
+def extended(data: Posterior, groups: Mapping[str, xr.Dataset], attrs: Mapping[str, Any]) -> Posterior:
+    """Add groups and attributes to a posterior; `data` stays as it is.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+    groups : mapping of str to xarray.Dataset
+        Further groups, which take the place of those of the same name.
+    attrs : mapping of str to scalar
+        Further attributes of the whole and of the group ``posterior``, which repeats them.
+
+    Returns
+    -------
+    arviz.InferenceData or xarray.DataTree
+    """
+    together = {name: find_group(data, name) for name in group_names(data)} | dict(groups)
+    together["posterior"] = together["posterior"].assign_attrs(attrs)
+    return assemble(together, {**attributes(data), **attrs})
 
 
 def group_names(data: Posterior) -> tuple[str, ...]:

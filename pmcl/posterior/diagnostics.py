@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pmcl.errors import PosteriorError
 from pmcl.posterior.access import log_joint, parameter_names, parameter_units, theta_draws, true_theta
+from pmcl.posterior.adequacy import adequacy
 from pmcl.posterior.compat import Posterior, bulk_ess, find_group, mcse_of_mean, r_hat, tail_ess
 
 __all__ = ["ESS_LIMIT", "R_HAT_LIMIT", "Verdict", "lost_chains", "summarize", "verdict"]
@@ -42,20 +43,30 @@ _LEAST_DRAWS = 4
 
 
 class Verdict(NamedTuple):
-    """Whether the chains have converged.
+    """Whether the chains have converged, and whether the model fits the log.
 
     Attributes
     ----------
     converged : bool
+        Whether the draws are those of the model's posterior.
+    adequate : bool or None
+        Whether the calibrated model foresees its own log as well as it claims; None when that was not checked, as in
+        files of older versions.
     message : str
-        One sentence: how well, or what is wrong with which parameter or chain.
+        How well, or what is wrong with which parameter, chain or kind of reading.
     advice : tuple of str
-        What to do about it, most urgent first; may hold warnings when converged.
+        What to do about it, most urgent first; may hold warnings when all is well.
     """
 
     converged: bool
+    adequate: bool | None
     message: str
     advice: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether the chains have converged and nothing is known against the model."""
+        return self.converged and self.adequate is not False
 
 
 def summarize(data: Posterior) -> xr.Dataset:
@@ -133,10 +144,12 @@ def lost_chains(log_densities: Float) -> dict[int, float]:
 
 
 def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
-    """Say whether the posterior can be believed.
+    """Say whether the posterior can be believed: whether the chains have converged, and whether the model fits.
 
     Converged means: rank-normalised split R-hat at most 1.01 and at least 400 effective draws, in bulk and tails, for
-    every parameter, and no chain lost.
+    every parameter, and no chain lost. Adequate means: the check that ends a calibration
+    (:func:`pmcl.posterior.model_check.check_model`) found nothing unusual in what a filter with the posterior mean
+    foresees, and no mistake in the log was found before sampling.
 
     Parameters
     ----------
@@ -164,14 +177,21 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
     lost = lost_chains(densities) if densities is not None else {}
     short = _shortfalls(table)
     advice = (*_advice_on_chains(table, lost), *_advice_on_draws(table, short, lost), *_advice_on_moves(data))
-    if not lost and not short:
+    converged = not lost and not short
+    fit = adequacy(data)
+    if converged:
         least = float(min(table["ess_bulk"].min(), table["ess_tail"].min()))
         message = (
             f"Converged: R-hat is at most {float(table['r_hat'].max()):.3f} and there are at least {least:.0f} "
             f"effective draws for {_count(len(names), 'parameter')}."
         )
-        return Verdict(True, message, advice)
-    return Verdict(False, _complaint(table, short, lost), advice)
+    else:
+        message = _complaint(table, short, lost)
+    if fit.adequate is False:
+        message += f" {'But' if converged else 'Besides,'} {fit.sentence}."
+    elif fit.adequate and converged:
+        message += f" {fit.sentence[:1].upper()}{fit.sentence[1:]}."
+    return Verdict(converged, fit.adequate, message, (*advice, *fit.advice))
 
 
 def _shortfalls(table: xr.Dataset) -> list[str]:

@@ -12,10 +12,13 @@ from typing import Protocol
 import numpy as np
 import xarray as xr
 
-__all__ = ["LogLike", "agreed_truth", "log_groups", "suffixes_for"]
+__all__ = ["LogLike", "agreed_truth", "log_groups", "reading_kinds", "suffixes_for"]
 
 # Dimensions that mean the same in every log.
 _SHARED_DIMS = frozenset({"increment", "pose", "xy", "end"})
+# Variables over time that the model takes as given, or never reads.
+_NOT_READ = frozenset({"odometry", "true_pose"})
+_UNITS = {"range": "m", "landmark_range": "m", "landmark_bearing": "rad", "landmark_size": "pixel"}
 
 
 class LogLike(Protocol):
@@ -48,6 +51,25 @@ def suffixes_for(n_logs: int) -> tuple[str, ...]:
     return ("",) if n_logs == 1 else tuple(f"_{index}" for index in range(n_logs))
 
 
+def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
+    """Name the variables of a log that hold readings: one value for each time and channel, NaN where none was taken.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A log.
+
+    Returns
+    -------
+    tuple of str
+    """
+    return tuple(
+        str(name)
+        for name, values in dataset.data_vars.items()
+        if values.ndim == 2 and values.dims[0] == "time" and name not in _NOT_READ
+    )
+
+
 def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
     """Observed and constant data of the logs.
 
@@ -58,23 +80,41 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
     Returns
     -------
     observed : xarray.Dataset
-        Everything measured: odometry and sensor readings over time.
+        The readings, which the model has a density for: each kind as one row of the N values that were measured, in the
+        order of time and channel, with their times and channels as coordinates. ArviZ compares them with the groups
+        ``posterior_predictive`` and ``log_likelihood``, which have the same dimensions and no gaps. A range without
+        echo is the greatest range.
     constant : xarray.Dataset
-        Everything given: map, beam poses, start belief, the scalars ``true_<name>`` that the logs agree on, and the
-        reference trajectory ``true_pose``, which serves scoring and pictures only.
+        Everything given: odometry, map, beam poses, start belief, the scalars ``true_<name>`` that the logs agree on,
+        and the reference trajectory ``true_pose``, which serves scoring and pictures only.
     """
     observed: list[xr.Dataset] = []
     constant: list[xr.Dataset] = []
     for log, suffix in zip(logs, suffixes_for(len(logs)), strict=True):
         dataset = log.dataset.drop_encoding()
-        measured = [name for name, values in dataset.data_vars.items() if "time" in values.dims and name != "true_pose"]
-        given = [name for name in dataset.data_vars if name not in measured]
+        kinds = reading_kinds(dataset)
         # The truth is a JSON text among the attributes of the log; it is kept as numbers below instead.
         attrs = {f"{key}{suffix}": value for key, value in dataset.attrs.items() if key in ("robot", "source", "seed")}
-        observed.append(_numbered(dataset[measured], suffix).assign_attrs(attrs))
-        constant.append(_numbered(dataset[given], suffix))
+        readings = [_measured(dataset[kind], suffix) for kind in kinds]
+        observed.append(xr.Dataset({one.name: one for one in readings}, attrs=attrs))
+        constant.append(_numbered(dataset.drop_vars(kinds), suffix))
     truth = {f"true_{name}": np.float64(value) for name, value in agreed_truth(logs).items()}
     return _merged(observed), _merged(constant).assign(truth)
+
+
+def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
+    """Give the readings of one kind that were measured, as one row."""
+    row, column = np.nonzero(~np.isnan(values.values))
+    kind, channel = str(values.name), str(values.dims[1])
+    dims = (f"{kind}_reading{suffix}",)
+    numbers = values.coords[channel].values if channel in values.coords else np.arange(values.shape[1])
+    readings = np.minimum(values.values[row, column], float(values.attrs.get("max_range", np.inf)))
+    coords = {
+        f"{kind}_time{suffix}": (dims, values["time"].values[row], {"units": "s", "long_name": "time"}),
+        f"{kind}_{channel}{suffix}": (dims, numbers[column]),
+    }
+    attrs = {"units": _UNITS.get(kind, ""), "long_name": f"measured {kind.replace('_', ' ')}", **values.attrs}
+    return xr.DataArray(readings, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
 
 
 def agreed_truth(logs: Sequence[LogLike]) -> dict[str, float]:

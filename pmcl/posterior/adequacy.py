@@ -1,0 +1,89 @@
+"""The second half of the verdict: whether the calibrated model fits its log, as the posterior file says."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+from pmcl.posterior.compat import Posterior, attributes, find_group
+
+__all__ = ["Adequacy", "adequacy", "warnings_of_preflight"]
+
+# More findings than this are counted, not listed.
+_MOST_NAMED = 3
+
+
+class Adequacy(NamedTuple):
+    """Whether the model fits.
+
+    Attributes
+    ----------
+    adequate : bool or None
+        None when it was not checked, as in files of older versions and of other programs.
+    sentence : str
+        One sentence, beginning in lower case and without a full stop; empty when not checked.
+    advice : tuple of str
+        What to do about it.
+    """
+
+    adequate: bool | None
+    sentence: str
+    advice: tuple[str, ...]
+
+
+def adequacy(data: Posterior) -> Adequacy:
+    """Read the model check and the warnings about the log that a posterior keeps.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+
+    Returns
+    -------
+    Adequacy
+        Not adequate when the model check objects, or when a warning names a mistake that explains the log better than
+        what the log says.
+    """
+    check = find_group(data, "predictive_check").attrs
+    checked = "adequate" in check
+    findings: list[dict[str, Any]] = json.loads(str(check["findings"])) if checked else []
+    warnings = warnings_of_preflight(data)
+    mistakes = [str(one["message"]).rstrip(".") for one in warnings if one.get("mistake")]
+    advice = tuple(str(one["message"]) for one in warnings if not one.get("mistake"))
+    if mistakes:
+        remedy = "Mend the log and calibrate again: these numbers describe another robot."
+        return Adequacy(False, f"the log looks mistaken: {_listed(mistakes)}", (remedy, *advice))
+    if not checked:
+        return Adequacy(None, "", advice)
+    if int(check["adequate"]):
+        probability = f"p = {float(check['p_value']):.2g}"
+        sentence = f"the model fits: its predictions of {int(check['readings'])} readings show nothing unusual"
+        return Adequacy(True, f"{sentence} ({probability})", advice)
+    several = len({one["log"] for one in findings}) > 1 or any(one["log"] for one in findings)
+    named = [f"{one['message']} in log {one['log']}" if several else str(one["message"]) for one in findings]
+    remedy = (
+        "Use another starting belief, more particles during burn-in, or --outliers, which allows for gross errors."
+        if any(one["name"] == "lost" for one in findings)
+        else "Run 'pmcl criticize' before you use these numbers: it finds which effect the model lacks."
+    )
+    return Adequacy(False, f"readings and model disagree: {_listed(named)}", (remedy, *advice))
+
+
+def warnings_of_preflight(data: Posterior) -> tuple[dict[str, Any], ...]:
+    """Give the warnings about the log that were found before sampling.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+
+    Returns
+    -------
+    tuple of dict
+        Each with "name", "level", "mistake" (whether a named mistake explains the log better) and "message".
+    """
+    return tuple(json.loads(str(attributes(data).get("preflight") or "[]")))
+
+
+def _listed(sentences: list[str]) -> str:
+    rest = len(sentences) - _MOST_NAMED
+    return "; ".join(sentences[:_MOST_NAMED]) + (f"; and {rest} more" if rest > 0 else "")

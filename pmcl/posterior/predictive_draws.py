@@ -1,0 +1,181 @@
+"""Groups ``log_likelihood`` and ``posterior_predictive``: what filters with draws of theta foresee.
+
+Both are sequential, since a robot's readings are a time series with a hidden path. The log likelihood of a reading is
+conditional on all readings before it; its terms add up to the log evidence of the draw. A replicated row of readings is
+drawn from the filter's particles before it saw that row. ``az.loo`` of such terms says how well the next reading is
+foreseen when one term is left out of what is known about theta; it is not leave-one-out over independent observations.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.predictive import Predictions, predict_readings, reading_index
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.robot_model import BoundModel
+from pmcl.models.tables import Tables
+from pmcl.posterior.log_groups import reading_kinds, suffixes_for
+from pmcl.robots.simulate import simulate_readings
+
+__all__ = ["predictive_groups"]
+
+Float = NDArray[np.float64]
+
+# Draws of theta per chain: a hundred in four chains, enough for the Pareto smoothing of az.loo.
+_DRAWS_PER_CHAIN = 25
+# Long logs get fewer draws, so that each group holds at most so many values (16 MB).
+_MOST_VALUES = 2_000_000
+# Readings times particles times draws: some 2 s of one core.
+_BUDGET = 1.5e8
+_PARTICLES = (100, 1000)
+
+
+_PREDICTION = {
+    "log_likelihood": "one step ahead: log density of each reading given theta and all readings before it, estimated "
+    "by a particle filter",
+    "posterior_predictive": "one row ahead: readings replicated from the filter's particles before it saw their row",
+}
+
+
+class _Task(NamedTuple):
+    """One filter pass: a draw of theta on one log."""
+
+    chain: int
+    draw: int
+    theta: Float
+
+
+def predictive_groups(
+    bound: BoundModel, theta: Float, observed: xr.Dataset, seed: int
+) -> dict[str, xr.Dataset]:
+    """Foresee all readings with some draws of theta.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to L logs.
+    theta : ndarray, shape (K, N, d)
+        Draws of its parameters.
+    observed : xarray.Dataset
+        The group ``observed_data``, whose variables and dimensions the result repeats.
+    seed : int
+        All randomness follows from it.
+
+    Returns
+    -------
+    dict of str to xarray.Dataset
+        ``log_likelihood`` [nat] and ``posterior_predictive`` (units of the readings), each over chain, draw and the
+        readings of a kind. Empty when the logs hold no reading that the model foresees.
+
+    Raises
+    ------
+    FilterError
+        When a filter loses the robot entirely.
+    ModelError
+        When a sensor table cannot be simulated.
+    """
+    n_chains, n_draws, _ = theta.shape
+    n_readings = sum(variable.size for variable in observed.data_vars.values())
+    if n_readings == 0:
+        return {}
+    per_chain = int(np.clip(_MOST_VALUES // (n_readings * n_chains), 1, min(_DRAWS_PER_CHAIN, n_draws)))
+    chosen = np.unique(np.linspace(0, n_draws - 1, per_chain).astype(np.int64))
+    particles = int(np.clip(_BUDGET / (n_readings * n_chains * chosen.size), *_PARTICLES))
+    tasks = [_Task(chain, int(draw), theta[chain, draw]) for chain in range(n_chains) for draw in chosen]
+
+    def one(task: _Task) -> list[dict[str, tuple[Float, Float]]]:
+        rng = make_rng(np.random.SeedSequence((seed, 1, task.chain, task.draw)))
+        return [
+            _foreseen(log, tables, particles, rng)
+            for log, tables in zip(bound.logs, bound.tables(task.theta), strict=True)
+        ]
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = list(threads.map(one, tasks))
+    coords = {"chain": np.arange(n_chains), "draw": chosen}
+    groups = {"log_likelihood": xr.Dataset(coords=coords), "posterior_predictive": xr.Dataset(coords=coords)}
+    for number, suffix in enumerate(suffixes_for(len(bound.logs))):
+        for kind in found[0][number]:
+            _add(groups, observed, f"{kind}{suffix}", [row[number][kind] for row in found], (n_chains, chosen.size))
+    for name, prediction in _PREDICTION.items():
+        groups[name].attrs = {"prediction": prediction, "particles": particles}
+    return groups if groups["log_likelihood"].data_vars else {}
+
+
+def _add(
+    groups: dict[str, xr.Dataset],
+    observed: xr.Dataset,
+    name: str,
+    found: Sequence[tuple[Float, Float]],
+    shape: tuple[int, int],
+) -> None:
+    """Add one kind of reading of one log to both groups."""
+    readings = observed[name]
+    labels = {
+        "log_likelihood": ("nat", f"log predictive density of {name}"),
+        "posterior_predictive": (str(readings.attrs.get("units", "")), f"replicated {name}"),
+    }
+    for column, (group, (units, long_name)) in enumerate(labels.items()):
+        values = np.array([one[column] for one in found], dtype=np.float32)
+        groups[group][name] = xr.DataArray(
+            values.reshape(*shape, readings.size),
+            dims=("chain", "draw", *readings.dims),
+            coords={key: coord for key, coord in readings.coords.items() if coord.dims == readings.dims},
+            attrs={"units": units, "long_name": long_name},
+        )
+
+
+def _foreseen(
+    log: RobotLog, tables: Tables, particles: int, rng: np.random.Generator
+) -> dict[str, tuple[Float, Float]]:
+    """Return, for each kind of reading, log densities and replicated values in the order of the observed data."""
+    made = predict_readings(tables, log.n_steps, particles, rng)
+    replicated = _replicated(log, tables, made, rng)
+    result = {}
+    for number, kind in enumerate(made.kinds):
+        mine = made.kind == number
+        if kind not in replicated:
+            continue
+        measured = ~np.isnan(log.dataset[kind].values)
+        score = np.full(measured.shape, np.nan)
+        score[made.time[mine], made.channel[mine]] = made.log_score[mine]
+        # A model need not foresee every kind of reading that a log holds.
+        if not np.isnan(score[measured]).any():
+            result[kind] = score[measured], replicated[kind][measured]
+    return result
+
+
+def _replicated(log: RobotLog, tables: Tables, made: Predictions, rng: np.random.Generator) -> dict[str, Float]:
+    """Draw each row of readings from one particle that has not seen it yet: kind to an array over time and channel.
+
+    Particles are resampled at every row, so that before its readings they have equal weights. Readings may depend on
+    the state one row before as well: rows are simulated in two halves, in each of which every other row follows the
+    particle's own ancestor.
+    """
+    filtered = made.filtered
+    rows = np.arange(log.n_steps)
+    which = rng.integers(filtered.particles.shape[2], size=rows.size)
+    now = filtered.particles[rows, :, which]
+    before = filtered.particles[rows[:-1], :, filtered.ancestors[rows[1:], which[1:]]]
+    kinds = reading_kinds(log.dataset)
+    replicated: dict[str, Float] = {}
+    for parity in (0, 1):
+        path = now.copy()
+        later = rows[1:][rows[1:] % 2 == parity]
+        path[later - 1] = before[later - 1]
+        for sensor in tables.sensors:
+            index = reading_index(simulate_readings(sensor, path, rng), rows.size)
+            for number, kind in enumerate(index.kinds):
+                if kind in kinds:
+                    mine = (index.kind == number) & (index.time % 2 == parity)
+                    grid = replicated.setdefault(kind, np.full(log.dataset[kind].shape, np.nan))
+                    grid[index.time[mine], index.channel[mine]] = index.reading[mine]
+    return replicated
