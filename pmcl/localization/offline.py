@@ -38,7 +38,8 @@ def localize(
     posterior : arviz.InferenceData or xarray.DataTree, optional
         What :func:`pmcl.calibrate` returned; not needed when `theta` gives every parameter, or with ``prior``.
     method : {"mean", "map", "posterior", "prior"}
-        ``mean``: theta at its posterior mean (eq. 18). ``map``: at the draw of the greatest joint density (eq. 19).
+        ``mean``: theta at its posterior mean (eq. 18). ``map``: at the draw of the greatest joint density of
+        theta and path (eq. 19), the paper's, which is no mode of theta alone and localizes a little worse.
         ``posterior``: each particle draws its own theta for each motion step (eq. 21), and its weight is the mean of
         the likelihoods under several draws (eq. 24). ``prior``: at the prior mean, as a baseline.
     theta : mapping of str to float, optional

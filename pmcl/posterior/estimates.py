@@ -1,4 +1,4 @@
-"""What a filter, or a reader, takes from the posterior: its mean, its best draw, some draws, the mean path."""
+"""What a filter, or a reader, takes from the posterior: its mean, its draw of greatest density, draws, the mean path."""
 
 from __future__ import annotations
 
@@ -55,7 +55,12 @@ def posterior_mean(data: Posterior) -> dict[str, float]:
 
 
 def map_estimate(data: Posterior) -> dict[str, float]:
-    """Parameters of the draw with the greatest joint density (eq. 19).
+    """Parameters of the draw with the greatest joint density of parameters and path (eq. 19).
+
+    Do not quote these numbers as the robot's noise: use the posterior mean and interval. This is no mode of the
+    marginal posterior. A density over a whole path is greatest where the path is smoothest, so the noise of the best
+    draw is too small and often lies outside the marginal's interval; and the best of some thousand draws differs from
+    run to run.
 
     Parameters
     ----------

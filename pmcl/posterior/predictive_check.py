@@ -20,7 +20,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.posterior.access import theta_draws
 from pmcl.posterior.compat import Posterior, extended, find_group
 from pmcl.posterior.diagnostics import verdict
-from pmcl.posterior.log_groups import suffixes_for
+from pmcl.posterior.log_groups import reading_kinds, suffixes_for
 from pmcl.posterior.model_check import LEVEL, ModelCheck, ScoredPass, check_model, kind_label
 from pmcl.posterior.predictive_draws import predictive_groups
 
@@ -105,16 +105,14 @@ def check_group(check: ModelCheck, logs: tuple[RobotLog, ...]) -> xr.Dataset:
 
 
 def _residuals(made: ScoredPass, log: RobotLog, suffix: str) -> dict[str, xr.DataArray]:
-    if made.predictions is None:
-        return {}
     variables = {}
-    for number, kind in enumerate(made.predictions.kinds):
-        mine = made.predictions.kind == number
-        if kind not in log.dataset or np.isnan(made.scores[mine]).all():
-            continue
+    for kind in reading_kinds(log.dataset):
         template = log.dataset[kind]
         values = np.full(template.shape, np.nan)
-        values[made.predictions.time[mine], made.predictions.channel[mine]] = made.scores[mine]
+        # A filter that lost the robot entirely foresaw nothing; the variable is there all the same.
+        if made.predictions is not None and kind in made.predictions.kinds:
+            mine = made.predictions.kind == made.predictions.kinds.index(kind)
+            values[made.predictions.time[mine], made.predictions.channel[mine]] = made.scores[mine]
         variables[f"residual_{kind}{suffix}"] = xr.DataArray(
             values,
             dims=[f"{dimension}{suffix}" for dimension in template.dims],

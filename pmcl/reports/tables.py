@@ -7,10 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from pmcl.errors import PosteriorError
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.diagnostics import ESS_LIMIT, R_HAT_LIMIT, summarize
-from pmcl.posterior.estimates import map_estimate
 
 __all__ = ["Row", "Table", "aligned", "parameter_table", "rounded", "summary_text"]
 
@@ -81,7 +79,7 @@ def parameter_table(data: Posterior, summary: xr.Dataset, *, complete: bool) -> 
     summary : xarray.Dataset
         Result of :func:`pmcl.posterior.diagnostics.summarize` for `data`.
     complete : bool
-        With MAP estimate, MCSE and both effective sample sizes; otherwise the smaller of the two only.
+        With MCSE and both effective sample sizes; otherwise the smaller of the two only.
 
     Returns
     -------
@@ -89,7 +87,6 @@ def parameter_table(data: Posterior, summary: xr.Dataset, *, complete: bool) -> 
         The column of true values is there only when one of them is known.
     """
     with_truth = bool(np.isfinite(summary["truth"]).any())
-    best = _map_or_nothing(data) if complete else {}
     rows: list[Row] = []
     columns: tuple[str, ...] = ()
     for name in map(str, summary["parameter"].values):
@@ -101,8 +98,6 @@ def parameter_table(data: Posterior, summary: xr.Dataset, *, complete: bool) -> 
         cells["90 % interval"] = f"{rounded(number['q5'], sd)} to {rounded(number['q95'], sd)}"
         if with_truth:
             cells["truth"] = rounded(number["truth"], sd)
-        if best:
-            cells["MAP"] = rounded(best[name], sd)
         if complete:
             cells["MCSE"] = f"{number['mcse']:.1g}" if np.isfinite(number["mcse"]) else _UNKNOWN
         cells["R-hat"] = f"{number['r_hat']:.3f}" if np.isfinite(number["r_hat"]) else _UNKNOWN
@@ -166,14 +161,6 @@ def aligned(table: Table, left: int) -> str:
         + mark
         for line, mark in zip(lines, marks, strict=True)
     )
-
-
-def _map_or_nothing(data: Posterior) -> dict[str, float]:
-    try:
-        return map_estimate(data)
-    except PosteriorError:
-        # A posterior of another program need not tell its density.
-        return {}
 
 
 def _count(value: float) -> str:

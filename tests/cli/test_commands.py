@@ -120,7 +120,7 @@ def test_the_model_file_and_several_logs_reach_the_sampler(run, log_file, tmp_pa
     assert result.exit_code == 3, result.output
     data = read_posterior(output)
     assert parameter_names(data) == ("sigma_forward", "sigma_range")
-    assert {"trajectory_0", "trajectory_1"} <= set(data["posterior"].data_vars)
+    assert {"trajectory_0", "trajectory_1"} <= set(data["trajectories"].data_vars)
 
 
 def test_a_resumed_run_is_the_run(run, log_file, tmp_path):

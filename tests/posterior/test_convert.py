@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy import stats
 from synthetic_posterior import NAMES, TRUTH, fake_case, fake_log
 
@@ -92,10 +91,19 @@ def test_a_pole_of_the_prior_density_is_not_drawn():
 def test_readings_are_observed_and_the_rest_is_constant(case, data):
     observed, constant = find_group(data, "observed_data"), find_group(data, "constant_data")
     log = case.logs[0].dataset
-    assert set(observed.data_vars) == {"odometry", "range"}
-    assert {"wall", "beam_pose", "start_mean", "start_std", "true_pose"} <= set(constant.data_vars)
-    xr.testing.assert_equal(observed["range"], log["range"])
-    assert observed["range"].attrs["max_range"] == 5.0
+    assert set(observed.data_vars) == {"range"}
+    assert {"odometry", "wall", "beam_pose", "start_mean", "start_std", "true_pose"} <= set(constant.data_vars)
+    readings = observed["range"]
+    assert readings.attrs["max_range"] == 5.0
+    assert readings.attrs["units"] == "m"
+    # In the order of time and beam, without the missing one; no echo is the greatest range.
+    assert readings.size == log["range"].size - 1
+    back = np.full(log["range"].shape, np.nan)
+    row = np.searchsorted(log["time"].values, readings["range_time"].values)
+    back[row, readings["range_beam"].values] = readings.values
+    np.testing.assert_array_equal(back, np.minimum(log["range"].values, 5.0))
+    assert back[4, 2] == 5.0
+    assert np.all(np.diff(row * 4 + readings["range_beam"].values) > 0)
     np.testing.assert_array_equal(constant["start_std"], [np.inf, np.inf, np.inf])
     assert true_theta(data) == TRUTH
     assert constant["true_sigma_turn"].ndim == 0
@@ -118,7 +126,8 @@ def test_several_logs_keep_their_own_times_and_names():
         assert stored[f"trajectory_{index}"].dims == ("chain", "trajectory_draw", f"time_{index}", "pose")
         assert stored.sizes[f"time_{index}"] == 60 + 10 * index
         np.testing.assert_array_equal(stored[f"extra_state_{index}"], case.chains.trajectories[index][..., 3:])
-        assert find_group(data, "observed_data")[f"odometry_{index}"].shape == (60 + 10 * index, 3)
+        assert find_group(data, "constant_data")[f"odometry_{index}"].shape == (60 + 10 * index, 3)
+        assert find_group(data, "observed_data")[f"range_{index}"].dims == (f"range_reading_{index}",)
         assert f"wall_{index}" in find_group(data, "constant_data")
         assert settings(data)[f"log_fingerprint_{index}"] == f"hash-log{index}"
 

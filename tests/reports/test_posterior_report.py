@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -11,7 +12,7 @@ import xarray as xr
 from synthetic_posterior import SPREADS, fake_case
 
 from pmcl.errors import PosteriorError
-from pmcl.posterior.compat import assemble
+from pmcl.posterior.compat import assemble, extended
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.diagnostics import verdict
 from pmcl.reports import posterior_report
@@ -124,6 +125,21 @@ def test_bad_news_and_advice_are_shown(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("fits", [True, False])
+def test_the_box_is_good_only_when_the_model_fits_as_well(tmp_path, report_data, fits):
+    finding = {"name": "lasting", "log": 0, "message": "errors of ranges last about 3 s"}
+    attrs = {
+        "adequate": int(fits), "p_value": 0.5 if fits else 0.002, "readings": 239,
+        "findings": json.dumps([] if fits else [finding]),
+    }  # fmt: skip
+    check = xr.Dataset({"residual_range": (("time", "beam"), np.zeros((60, 4)))}, attrs=attrs)
+    write_report(extended(report_data, {"predictive_check": check}, {}), tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert ('class="verdict good"' in text) == fits
+    assert ("readings and model disagree: errors of ranges last about 3 s" in text) == (not fits)
+
+
+@pytest.mark.usefixtures("quick")
 def test_each_log_is_shown_up_to_six(tmp_path):
     case = fake_case(n_draws=20, n_stored=2, n_logs=8)
     write_report(to_arviz(case.chains, case.parameters, case.logs), tmp_path / "r.html")
@@ -139,7 +155,7 @@ def test_a_posterior_of_another_program_gets_a_page(tmp_path):
     write_report(other, tmp_path / "r.html")
     text = read(tmp_path / "r.html").text
     assert "mu" in text
-    assert "MAP" not in text
+    assert "MAP" not in text, "the joint mode with the path is not the mode of a parameter"
 
 
 @pytest.mark.usefixtures("quick")
