@@ -56,8 +56,8 @@ _COUNT = click.IntRange(min=1)
 @click.option(
     "--kernel",
     type=click.Choice(["conditional", "smoothing"]),
-    help="conditional: the exact posterior, to know the robot's noise (default). smoothing: the paper's kernel, to "
-    "tune a filter that runs with as many particles.",
+    help="conditional: the exact posterior, to know the robot's noise. smoothing: the paper's kernel, to "
+    "tune a filter that runs with as many particles.  [default: conditional]",
 )
 @click.option(
     "--particles",

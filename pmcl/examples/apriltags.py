@@ -80,7 +80,8 @@ def log_of(recording: Recording) -> pmcl.RobotLog:
 def main(draws: int = 1000) -> None:
     """Record, calibrate, and say what was found: the camera's noise is 0.06 m and 0.01 rad."""
     data = pmcl.calibrate(log_of(record()), draws=draws)
-    print(data.posterior.mean(["chain", "draw"])[["sigma_landmark_range", "sigma_bearing"]])
+    for name in ("sigma_forward", "sigma_turn", "sigma_landmark_range", "sigma_bearing"):
+        print(f"{name} = {float(data.posterior[name].mean()):.4f} +- {float(data.posterior[name].std()):.4f}")
     print(pmcl.verdict(data).message)
 
 

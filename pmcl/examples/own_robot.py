@@ -66,7 +66,8 @@ def main(draws: int = 1000) -> None:
     log.write("robot.nc")
     data = pmcl.calibrate(log, draws=draws)
     pmcl.write_posterior(data, "posterior.nc")
-    print(data.posterior.mean(["chain", "draw"])[["sigma_landmark_range", "sigma_bearing"]])
+    for name in ("sigma_forward", "sigma_turn", "sigma_landmark_range", "sigma_bearing"):
+        print(f"{name} = {float(data.posterior[name].mean()):.4f} +- {float(data.posterior[name].std()):.4f}")
     print(pmcl.verdict(data).message)
 
 

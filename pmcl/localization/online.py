@@ -82,7 +82,8 @@ class OnlineLocalizer:
     --------
     >>> robot = OnlineLocalizer(log, posterior=data, method="mean")
     >>> estimate = robot.update(0.1, odometry=(0.05, 0.0, 0.01), range=ranges)
-    >>> estimate.mean
+    >>> estimate.mean.shape, estimate.covariance.shape
+    ((3,), (3, 3))
     """
 
     def __init__(

@@ -4,6 +4,8 @@ A log has one row for each sample time: the motion since the row before, and the
 Each function here and in :mod:`pmcl.logs.odometry` makes one kind of column, with the names that
 :meth:`pmcl.RobotLog.build` has for its arguments::
 
+    from pmcl.logs import RobotLog, landmark_rows, odometry_from_velocities, row_times
+
     times = row_times(0.5, wheel_times)
     log = RobotLog.build(
         time=times,

@@ -3,13 +3,17 @@
 An :class:`~pmcl.models.effects.effect.Effect` has a name, parameters with priors, and a function that edits the tables
 of :mod:`pmcl.models.tables`. In a :class:`~pmcl.models.robot_model.RobotModel` it is calibrated with everything else,
 in ``pmcl simulate --effect`` it is simulated, and the critic looks for it. :mod:`~pmcl.models.effects.catalogue` holds
-the effects that pmcl knows, :mod:`~pmcl.models.effects.selection` picks them by name.
+the effects that pmcl knows, :mod:`~pmcl.models.effects.registry` adds those of installed packages and of files
+(``--effects FILE.py``), and :mod:`~pmcl.models.effects.selection` picks them by name.
 
-An effect of one's own is a few lines of numpy. A robot that pulls to one side whenever it accelerates::
+An effect of your own is a few lines of numpy. A robot that pulls to one side whenever it accelerates::
+
+    import numpy as np
+    from scipy import stats
 
     from pmcl import Parameter, RobotModel
-    from pmcl.models.effects.effect import Effect
-    from scipy import stats
+    from pmcl.models import RangeNoise
+    from pmcl.models.effects import Effect
 
     def pulled(tables, values, log, where):
         (pull,) = values                                       # [rad/m]: turn per change of the forward increment

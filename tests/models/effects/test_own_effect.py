@@ -24,9 +24,9 @@ from pmcl.models.sensors import RangeNoise
 def documented():
     """Run the example of the package's documentation; return its names."""
     lines = pmcl.models.effects.__doc__.splitlines()
-    begin = next(k for k, line in enumerate(lines) if line.startswith("    from pmcl import"))
+    begin = next(k for k, line in enumerate(lines) if line.startswith("    import numpy"))
     end = next(k for k in range(begin, len(lines)) if lines[k] and not lines[k].startswith("    "))
-    scope = {"np": np, "RangeNoise": RangeNoise}
+    scope = {}
     exec(textwrap.dedent("\n".join(lines[begin:end])), scope)
     return scope
 

@@ -1,0 +1,78 @@
+"""The installed examples run and find what they simulate, and the command line copies them whole."""
+
+from __future__ import annotations
+
+import importlib
+import re
+
+import pytest
+from click.testing import CliRunner
+
+from pmcl.cli.commands import pmcl as application
+from pmcl.examples import apriltags, example_names, example_text, own_robot
+
+
+def run(*arguments):
+    return CliRunner().invoke(application, list(arguments))
+
+
+def test_the_command_lists_prints_and_copies(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    listed = run("example")
+    assert [line.split()[0] for line in listed.stdout.splitlines()] == list(example_names())
+    assert all(re.search(r"\w+ +[A-Z].*[^.]\.?$", line) for line in listed.stdout.splitlines())
+    assert run("example", "own_effect").stdout == example_text("own_effect")
+    assert run("example", "own_effect", "-o", "mine.py").exit_code == 0
+    assert (tmp_path / "mine.py").read_text(encoding="utf-8") == example_text("own_effect")
+
+
+def test_a_copy_never_replaces_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("precious")
+    refused = run("example", "own_effect", "-o", "mine.py")
+    assert refused.exit_code == 2
+    assert "exists and may hold your changes" in refused.stderr
+    assert (tmp_path / "mine.py").read_text() == "precious"
+    assert "did you mean 'own_robot'" in run("example", "own_robto").stderr
+    assert "'pmcl example' lists them" in run("example", "submarine").stderr
+
+
+@pytest.mark.parametrize("name", example_names())
+def test_examples_are_short_and_import(name):
+    assert len(example_text(name).splitlines()) < 100
+    assert callable(importlib.import_module(f"pmcl.examples.{name}").main)
+
+
+def test_recordings_become_logs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own_robot.record(duration=30.0)
+    log = own_robot.read_log()
+    assert log.n_steps == 60
+    assert log.n_readings > 30
+    seen = apriltags.log_of(apriltags.record(duration=30.0))
+    assert seen.n_steps == 60
+    assert seen.n_readings > 40
+
+
+EXPECTED = {
+    # Posterior means that 200 draws give of what each example simulates, within five posterior standard deviations.
+    "own_robot": ("sigma_landmark_range", 0.05, 0.015),
+    "apriltags": ("sigma_landmark_range", 0.06, 0.015),
+    "own_effect": ("torque_steer", 0.6, 0.3),
+    "own_sensor": ("sigma_compass", 0.04, 0.015),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXPECTED)
+def test_examples_find_what_they_simulate(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    importlib.import_module(f"pmcl.examples.{name}").main(draws=200)
+    parameter, truth, near = EXPECTED[name]
+    found = re.search(rf"{parameter} = ([\d.]+)", capsys.readouterr().out)
+    assert found, "the example prints its posterior mean"
+    assert abs(float(found[1]) - truth) < near
+
+
+def test_every_example_is_run():
+    assert set(EXPECTED) == set(example_names())

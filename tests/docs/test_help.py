@@ -1,0 +1,81 @@
+"""The help of every command: whole sentences that are not cut, and the defaults that the code has."""
+
+from __future__ import annotations
+
+import inspect
+
+import click
+import pytest
+from click.testing import CliRunner
+
+import pmcl
+from pmcl import defaults
+from pmcl.cli.commands import pmcl as application
+from pmcl.logs import read_barfoot, read_mrclam
+from pmcl.sampling.stages import Plan
+
+
+def _commands(group, path=()):
+    for name, command in group.commands.items():
+        yield (*path, name), command
+        if isinstance(command, click.Group):
+            yield from _commands(command, (*path, name))
+
+
+COMMANDS = dict(_commands(application))
+# What each command's options are passed to, by name.
+FUNCTIONS = {
+    ("calibrate",): pmcl.calibrate,
+    ("localize",): pmcl.localize,
+    ("criticize",): pmcl.criticize,
+    ("simulate", "amigobot"): pmcl.simulate_amigobot,
+    ("simulate", "aibo"): pmcl.simulate_aibo,
+    ("convert", "mrclam"): read_mrclam,
+    ("convert", "barfoot"): read_barfoot,
+}
+
+
+def _help(*path):
+    return CliRunner().invoke(application, [*path, "--help"], terminal_width=80).stdout
+
+
+def test_the_lists_of_commands_are_not_cut():
+    for path in ((), ("convert",), ("simulate",)):
+        listed = _help(*path).partition("Commands:\n")[2]
+        assert "..." not in listed
+        assert listed.count(".\n") == len([p for p in COMMANDS if p[:-1] == path])
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_every_option_is_described(path):
+    for option in COMMANDS[path].params:
+        if isinstance(option, click.Option):
+            assert option.help, option.name
+            assert option.help.rstrip().endswith((".", "]")), option.help
+    assert (COMMANDS[path].help or "").rstrip().endswith(".")
+
+
+@pytest.mark.parametrize("path", FUNCTIONS, ids=" ".join)
+def test_options_have_the_defaults_of_the_functions_they_set(path):
+    signature = inspect.signature(FUNCTIONS[path]).parameters
+    compared = 0
+    for option in COMMANDS[path].params:
+        if option.name in signature and isinstance(option, click.Option):
+            default = signature[option.name].default
+            stated = option.to_info_dict()["default"]
+            if isinstance(default, int | float | str) and not isinstance(default, bool):
+                told = (option.help or "").partition("[default: ")[2]
+                in_text = told.startswith(str(default))
+                assert stated == default or in_text, option.name
+                compared += 1
+    assert compared >= 2
+
+
+def test_settings_without_a_default_of_their_own_say_what_they_become():
+    told = " ".join(_help("calibrate").split())
+    for name, count in defaults.CALIBRATION_PARTICLES.items():
+        assert f"{count} for {name}" in told
+    assert f"Sweeps from one stored draw to the next. [default: {Plan.sweeps_per_draw}]" in told
+    localized = " ".join(_help("localize").split())
+    assert f"[default: {defaults.LOCALIZATION_DRAWS}]" in localized
+    assert f"[default: {defaults.LOCALIZATION_DRAWS_PER_READING}]" in localized

@@ -1,0 +1,105 @@
+"""Everything that the README shows is true: its code runs, its commands run, and it names what exists."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from docs.documents import README, commands, fences, mentioned_commands, shortened
+
+from pmcl.cli.commands import pmcl as application
+from pmcl.examples import own_robot
+
+
+def test_blocks_are_python_or_commands():
+    """A block in a language that no test here runs would go unnoticed."""
+    assert len(fences("python")) >= 4
+    assert len(commands()) >= 8
+    assert README.read_text(encoding="utf-8").count("\n```") == 2 * (len(fences("python")) + len(fences("")))
+
+
+@pytest.mark.parametrize("block", fences("python"), ids=lambda block: block.partition("\n")[0])
+def test_every_name_that_the_readme_imports_exists(block):
+    for node in ast.parse(block).body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            exec(ast.unparse(node), {})
+
+
+@pytest.mark.parametrize("arguments", mentioned_commands(), ids=" ".join)
+def test_every_command_of_the_readme_has_these_options(arguments, tmp_path, monkeypatch):
+    """The command line is parsed as for a run; nothing is read or written."""
+    monkeypatch.chdir(tmp_path)
+    command, info = application, "pmcl"
+    with click.Context(application, info_name=info) as context:
+        while isinstance(command, click.Group) and arguments:
+            info, command, rest = command.resolve_command(context, arguments)
+            arguments = rest
+        if "--effects" in arguments:  # a file that the command before it writes
+            arguments = [a for a in arguments if a != "--effects" and not a.endswith(".py")]
+        # What the text leaves out is what it is not about, such as -o.
+        with contextlib.suppress(click.MissingParameter):
+            command.make_context(info, list(arguments), parent=context)
+
+
+def test_links_lead_to_files():
+    text = README.read_text(encoding="utf-8")
+    headings = {
+        re.sub(r"[^\w\- ]", "", line.lstrip("# ").lower()).strip().replace(" ", "-")
+        for line in text.splitlines()
+        if line.startswith("#")
+    }
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        if target.startswith("#"):
+            assert target[1:] in headings, target
+        elif not target.startswith("http"):
+            assert (README.parent / target.partition("#")[0]).exists(), target
+
+
+@pytest.mark.slow
+def test_python_of_the_readme_runs_in_order(tmp_path, monkeypatch, capsys):
+    """One reader, one session: names of a block are known in the next. The robot of the example made the files."""
+    monkeypatch.chdir(tmp_path)
+    own_robot.record(duration=100.0)
+    scope: dict[str, object] = {}
+    for block in fences("python"):
+        exec(compile(shortened(block), str(README), "exec"), scope)
+    assert (tmp_path / "robot.nc").is_file()
+    assert (tmp_path / "posterior.nc").is_file()
+    assert "[" in capsys.readouterr().out.splitlines()[-1]  # the last pose
+
+
+def _run(line: str, folder: Path) -> None:
+    """Run one line in a shell; statuses 3 and 4 (not converged, does not fit) are results too, of a run so short."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", shortened(line)], cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode in ((0, 3, 4) if "calibrate" in line else (0,)), f"{line}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.slow
+def test_commands_of_the_readme_run_in_order(tmp_path, request):
+    lines = commands()
+    if any("MRCLAM_Dataset6" in line for line in lines):
+        # Commands that read the recordings cannot run without them; the others still do.
+        try:
+            data = request.getfixturevalue("shared_data")
+            (tmp_path / "MRCLAM_Dataset6").symlink_to(data / "mrclam6")
+        except pytest.skip.Exception:
+            lines = [line for line in lines if "robot1.nc" not in line and "posterior.nc" not in line]
+    assert shutil.which("bash")
+    for line in lines:
+        _run(line, tmp_path)
+    written = {word for line in lines for word in re.findall(r"(?:-o|--json|--tum|>) (\S+)", line)}
+    assert len(written) >= 2
+    for name in written:
+        assert (tmp_path / name).stat().st_size > 0, name
