@@ -31,7 +31,7 @@ class Recording(NamedTuple):
     tvecs: Any  # (R, 3): right, down, ahead [m]
 
 
-def record(duration: float = 240.0, seed: int = 2) -> Recording:
+def record(duration: float = 200.0, seed: int = 2) -> Recording:
     """Simulate a robot that drives in circles: odometry 10 times a second, images 4 times a second."""
     rng = np.random.default_rng(seed)
     rows = int(duration * 20)
@@ -59,9 +59,9 @@ def record(duration: float = 240.0, seed: int = 2) -> Recording:
 
 
 def log_of(recording: Recording) -> pmcl.RobotLog:
-    """Make a log of a recording: one row each half second."""
+    """Make a log of a recording: one row each quarter of a second, the time between two images."""
     ranges, bearings = sightings_from_camera(recording.tvecs, tilt=TILT)
-    times = row_times(0.5, recording.odometry_times)
+    times = row_times(0.25, recording.odometry_times)
     # A detector also reports tags that are not on the map.
     known = np.isin(recording.tag_ids.astype(str), TAGS.names)
     seen_times, tags = recording.tag_times[known], recording.tag_ids[known]

@@ -17,7 +17,7 @@ TAGS = pmcl.LandmarkMap(
 )
 
 
-def record(duration: float = 300.0, seed: int = 1) -> None:
+def record(duration: float = 200.0, seed: int = 1) -> None:
     """Simulate the recording: write wheels.txt (20 rows a second) and sightings.txt (some five)."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, duration, 0.05)
@@ -43,10 +43,10 @@ def record(duration: float = 300.0, seed: int = 1) -> None:
 
 
 def read_log() -> pmcl.RobotLog:
-    """Make a log of the two files: one row each half second."""
+    """Make a log of the two files: one row each 0.2 s, the time between two images of the camera."""
     wheel_times, left, right = np.loadtxt("wheels.txt").T
     seen_times, tags, distances, bearings = np.loadtxt("sightings.txt").T
-    times = row_times(0.5, wheel_times)
+    times = row_times(0.2, wheel_times)
     return pmcl.RobotLog.build(
         time=times,
         odometry=odometry_from_velocities(wheel_times, (left + right) / 2, (right - left) / TRACK_WIDTH, times),

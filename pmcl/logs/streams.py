@@ -6,7 +6,7 @@ Each function here and in :mod:`pmcl.logs.odometry` makes one kind of column, wi
 
     from pmcl.logs import RobotLog, landmark_rows, odometry_from_velocities, row_times
 
-    times = row_times(0.5, wheel_times)
+    times = row_times(0.2, wheel_times)
     log = RobotLog.build(
         time=times,
         odometry=odometry_from_velocities(wheel_times, forward, turn_rate, times),
@@ -41,10 +41,12 @@ def row_times(period: float, *streams: ArrayLike) -> Float:
     Parameters
     ----------
     period : float
-        Time between rows [s]. Each row costs a particle filter step. Choose it so that the robot moves a few
-        centimetres up to some 0.3 m from row to row.
+        Time between rows [s]; each row costs a step of the particle filter. A reading counts as if it was taken at its
+        row. A robot that turns at 0.4 rad/s turns by up to 0.1 rad in the quarter of a second that may lie between when
+        rows are half a second apart, and calibration takes that for noise of the bearings. So take the period of the
+        readings where they come regularly, and else one in which the robot turns by less than that noise.
     *streams : array_like, shape (N,)
-        Times of the streams that a row needs [s]: those of the odometry, not those of readings.
+        Times of the streams that every row needs [s]: those of the odometry, not those of readings.
 
     Returns
     -------

@@ -47,10 +47,10 @@ def test_recordings_become_logs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     own_robot.record(duration=30.0)
     log = own_robot.read_log()
-    assert log.n_steps == 60
+    assert log.n_steps == 150
     assert log.n_readings > 30
     seen = apriltags.log_of(apriltags.record(duration=30.0))
-    assert seen.n_steps == 60
+    assert seen.n_steps == 120
     assert seen.n_readings > 40
 
 
