@@ -7,6 +7,7 @@ variables and dimensions are numbered: ``odometry_0(time_0, increment)``, ``odom
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -83,7 +84,7 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         The readings, which the model has a density for: each kind as one row of the N values that were measured, in the
         order of time and channel, with their times and channels as coordinates. ArviZ compares them with the groups
         ``posterior_predictive`` and ``log_likelihood``, which have the same dimensions and no gaps. A range without
-        echo is the greatest range.
+        echo is the greatest range. Attributes name log, robot, source and seed.
     constant : xarray.Dataset
         Everything given: odometry, map, beam poses, start belief, the scalars ``true_<name>`` that the logs agree on,
         and the reference trajectory ``true_pose``, which serves scoring and pictures only.
@@ -95,6 +96,9 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         kinds = reading_kinds(dataset)
         # The truth is a JSON text among the attributes of the log; it is kept as numbers below instead.
         attrs = {f"{key}{suffix}": value for key, value in dataset.attrs.items() if key in ("robot", "source", "seed")}
+        # The name of its file alone: the folder is nobody else's business.
+        if name := Path(getattr(log, "where", "")).name:
+            attrs[f"log{suffix}"] = name
         readings = [_measured(dataset[kind], suffix) for kind in kinds]
         observed.append(xr.Dataset({one.name: one for one in readings}, attrs=attrs))
         constant.append(_numbered(dataset.drop_vars(kinds), suffix))

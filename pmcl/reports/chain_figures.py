@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import stats
@@ -13,17 +14,22 @@ from scipy import stats
 from pmcl.posterior.access import log_joint, parameter_names, parameter_units, theta_draws, true_theta
 from pmcl.posterior.compat import Posterior, bulk_ess, tail_ess
 from pmcl.posterior.diagnostics import ESS_LIMIT
-from pmcl.reports.style import FAINT, TRUTH, chain_color, evenly_spaced, labelled, legend_above, new_figure, tidy
+from pmcl.reports.style import FAINT, POSTERIOR, TRUTH, chain_color, evenly_spaced, labelled, legend_above, new_figure, tidy
 
 __all__ = ["plot_autocorrelation", "plot_ess_evolution", "plot_rank", "plot_trace"]
 
 Float = NDArray[np.float64]
 
-_COLUMNS = 3
+# Panels in a row, in the order of preference; none that leaves a single panel in the last row is taken.
+_COLUMNS = (4, 3, 5)
+# Blocks of draws whose medians a trace shows.
+_BLOCKS = 25
 
 
 def plot_trace(data: Posterior) -> Figure:
     """Draws of each parameter, and of the log joint density, in the order they were made, with their histograms.
+
+    Bold lines are the medians of blocks of draws.
 
     Parameters
     ----------
@@ -53,7 +59,10 @@ def plot_trace(data: Posterior) -> Figure:
         bins = _bins(draws)
         for chain, values in enumerate(draws):
             color = chain_color(chain)
-            left.plot(shown, values[shown], color=color, linewidth=0.6, alpha=0.8)
+            left.plot(shown, values[shown], color=color, linewidth=0.5, alpha=0.3)
+            blocks = np.array_split(np.arange(len(values)), min(_BLOCKS, len(values)))
+            medians = [np.median(values[block]) for block in blocks]
+            left.plot([block.mean() for block in blocks], medians, color=color, linewidth=1.6)
             if bins is not None:
                 right.hist(values, bins=bins, orientation="horizontal", histtype="step", color=color)
         for axes in (left, right):
@@ -68,7 +77,12 @@ def plot_trace(data: Posterior) -> Figure:
     grid[-1, 0].set_xlabel("draw")
     grid[-1, 1].set_xlabel("count")
     figure.align_ylabels(list(grid[:, 0]))
-    legend_above(figure, _chain_handles(data, with_truth=bool(set(truth) & set(parameter_names(data)))))
+    handles = _chain_handles(data, with_truth=bool(set(truth) & set(parameter_names(data))))
+    handles += [
+        Line2D([], [], color=FAINT, linewidth=0.8, label="draws"),
+        Line2D([], [], color=FAINT, linewidth=2.0, label="medians of blocks"),
+    ]
+    legend_above(figure, handles)
     return figure
 
 
@@ -115,8 +129,10 @@ def plot_rank(data: Posterior) -> Figure:
         axes.set_yticks(np.arange(n_chains) + flat, [str(chain) for chain in range(n_chains)])
         axes.set_ylabel("chain")
         axes.set_xlabel("rank among all draws")
-        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.xaxis.set_major_locator(MaxNLocator(3))
         tidy(axes)
+    flat_line = Line2D([], [], color="black", linewidth=0.7, label="all bars are this high when the chains agree")
+    legend_above(figure, [*_chain_handles(data, with_truth=False), flat_line])
     return figure
 
 
@@ -145,14 +161,19 @@ def plot_autocorrelation(data: Posterior) -> Figure:
     figure, panels = _panels(len(names), 2.3)
     for index, (axes, name) in enumerate(zip(panels, names, strict=True)):
         axes.axhline(0.0, color=FAINT, linewidth=0.8)
-        for chain in range(theta.shape[0]):
-            axes.plot(correlation[chain, :n_lags, index], color=chain_color(chain), linewidth=1.2)
+        lags, of_chains = np.arange(n_lags), correlation[:, :n_lags, index]
+        axes.fill_between(lags, of_chains.min(axis=0), of_chains.max(axis=0), alpha=0.3, linewidth=0, color=POSTERIOR)
+        axes.plot(lags, of_chains.mean(axis=0), color=POSTERIOR, linewidth=1.4)
         axes.set_title(name, fontsize=10)
         axes.set_xlabel("lag [draws]")
         axes.set_ylabel("autocorrelation")
         axes.set_ylim(-0.3, 1.02)
         tidy(axes)
-    legend_above(figure, _chain_handles(data, with_truth=False))
+    handles = [
+        Line2D([], [], color=POSTERIOR, label="mean of the chains"),
+        Patch(color=POSTERIOR, alpha=0.3, label="least to greatest of the chains"),
+    ]
+    legend_above(figure, handles)
     return figure
 
 
@@ -179,7 +200,7 @@ def plot_ess_evolution(data: Posterior) -> Figure:
         for index, name in enumerate(names):
             growth = [measure(np.ascontiguousarray(theta[:, :length, index])) for length in lengths]
             axes.plot(lengths, growth, "o-", color=chain_color(index), label=name, markersize=4)
-        axes.axhline(ESS_LIMIT, color="black", linestyle=":", label=f"{ESS_LIMIT:.0f} wanted")
+        axes.axhline(ESS_LIMIT, color="black", linestyle=":", label=f"at least {ESS_LIMIT:.0f} are wanted")
         axes.set_xlim(0, None)
         axes.set_ylim(0, None)
         axes.set_title(title, fontsize=10)
@@ -215,7 +236,8 @@ def autocorrelation(theta: Float) -> Float:
 
 
 def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    columns = min(count, _COLUMNS)
+    fitting = [columns for columns in _COLUMNS if count % columns != 1]
+    columns = min(count, fitting[0] if fitting else _COLUMNS[0])
     rows = -(-count // columns)
     figure = new_figure(0.5 + height * rows)
     panels = list(figure.subplots(rows, columns, squeeze=False).flat)

@@ -1,6 +1,7 @@
-"""Figures of a posterior: the parameters against each other, and the robot's path.
+"""Figures of a posterior: the robot's path, each parameter with its prior, and the parameters against each other.
 
-The figures about the chains themselves are in :mod:`pmcl.reports.chain_figures`; they are at hand here as well.
+The figures about the chains themselves are in :mod:`pmcl.reports.chain_figures`, those about the readings in
+:mod:`pmcl.reports.residual_figures`; the former are at hand here as well.
 """
 
 from __future__ import annotations
@@ -9,11 +10,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from pmcl.geometry import wrap
 from pmcl.posterior.access import (
@@ -26,6 +29,7 @@ from pmcl.posterior.access import (
 )
 from pmcl.posterior.compat import Posterior, find_group
 from pmcl.posterior.estimates import PathSummary, path_summary
+from pmcl.reports.bands import band_over_time, mass_levels
 from pmcl.reports.chain_figures import plot_autocorrelation, plot_ess_evolution, plot_rank, plot_trace
 from pmcl.reports.style import (
     FAINT,
@@ -40,21 +44,107 @@ from pmcl.reports.style import (
     tidy,
 )
 
-__all__ = ["plot_autocorrelation", "plot_ess_evolution", "plot_pair", "plot_rank", "plot_trace", "plot_trajectory"]
+__all__ = [
+    "plot_autocorrelation",
+    "plot_ess_evolution",
+    "plot_marginals",
+    "plot_pair",
+    "plot_rank",
+    "plot_trace",
+    "plot_trajectory",
+]
 
 Float = NDArray[np.float64]
 
-# More dots than this only fill the cloud and the file; more paths hide the map.
+# More dots than this only fill the cloud and the file.
 _MOST_DOTS = 2000
-_MOST_PATHS = 40
-_SAMPLED = "#56B4E9"
+# More ellipses than this along a path only merge into one band.
+_MOST_ELLIPSES = 80
+# Bins of time in which errors are drawn as a median and a band.
+_TIME_BINS = 60
+# Half axis of the ellipse that holds 90 % of a Gaussian in two dimensions, in standard deviations.
+_ELLIPSE_90 = 2.146
+# Cells of the grid on which densities of two parameters are smoothed, and the width of the smoothing in cells.
+_GRID, _SMOOTHING = 40, 2.0
+_REGIONS = (0.9, 0.5)
+_REGION_COLORS = ("#A9CCE3", "#4A92C3")
+_ERROR = "#D55E00"
+# Share of the prior's draws that the picture of the prior's whole range shows: a long tail would hide the rest.
+_PRIOR_SHARE = 0.98
+
+
+def plot_marginals(data: Posterior) -> Figure:
+    """Each parameter: its prior over the whole range with the place of the posterior, and the posterior enlarged.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One row for each parameter; without the column of priors where the posterior tells none.
+
+    Raises
+    ------
+    PosteriorError
+        If the posterior holds no draws.
+    """
+    theta, names, truth = theta_draws(data), parameter_names(data), true_theta(data)
+    priors = find_group(data, "prior")
+    with_prior = all(name in priors for name in names)
+    figure = new_figure(0.7 + 1.25 * len(names), 6.4)
+    grid = figure.subplots(len(names), 1 + with_prior, squeeze=False)
+    for row, (name, unit) in enumerate(zip(names, parameter_units(data), strict=True)):
+        draws = theta[..., row].ravel()
+        if with_prior:
+            _whole_range(grid[row, 0], np.asarray(priors[name].values, dtype=np.float64).ravel(), draws)
+        axes = grid[row, -1]
+        _histogram(axes, draws)
+        low, high = np.quantile(draws, [0.05, 0.95])
+        axes.plot([low, high], [0.0, 0.0], color=POSTERIOR, linewidth=5, solid_capstyle="butt", clip_on=False)
+        _true_lines(axes, truth.get(name), None)
+        grid[row, 0].set_ylabel("density", fontsize=9)
+        for panel in grid[row]:
+            panel.set_yticks([])
+            panel.spines["left"].set_visible(False)
+            panel.xaxis.set_major_locator(MaxNLocator(5))
+            tidy(panel)
+            panel.set_xlabel(labelled(name, unit))
+    if with_prior:
+        grid[0, 0].set_title("prior, its whole range", fontsize=10)
+        grid[0, 1].set_title("posterior, enlarged", fontsize=10)
+    handles: list[Any] = [Patch(color=POSTERIOR, alpha=0.35, label="posterior")]
+    handles.append(Line2D([], [], color=POSTERIOR, linewidth=5, label="its 90 % interval"))
+    handles += [Patch(color=FAINT, label="prior")] if with_prior else []
+    handles += [Line2D([], [], **TRUTH, label="true value")] if set(names) & set(truth) else []
+    legend_above(figure, handles)
+    return figure
+
+
+def _histogram(axes: Axes, draws: Float) -> None:
+    axes.hist(draws, bins=40, density=True, color=POSTERIOR, alpha=0.35)
+    low, high = float(draws.min()), float(draws.max())
+    if high > low:
+        axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+
+
+def _whole_range(axes: Axes, prior: Float, draws: Float) -> None:
+    outside = 0.5 * (1.0 - _PRIOR_SHARE)
+    low, high = np.quantile(prior, [outside, 1.0 - outside])
+    low, high = min(float(low), float(draws.min())), max(float(high), float(draws.max()))
+    if high > low:
+        axes.hist(prior, bins=np.linspace(low, high, 31), density=True, color=FAINT)
+        axes.set_xlim(low, high)
+    interval = np.quantile(draws, [0.05, 0.95])
+    axes.axvspan(*interval, color=POSTERIOR, alpha=0.9, linewidth=1.5)
 
 
 def plot_pair(data: Posterior) -> Figure:
-    """Parameters against each other, as in the paper's Figure 1, with histograms and prior densities on the diagonal.
+    """Parameters against each other, as in the paper's Figure 1.
 
-    Dots are draws, coloured by chain; dashed lines are the true values; the numbers above the diagonal are
-    correlations.
+    Below the diagonal draws, coloured by chain; above it the smallest regions that hold 50 % and 90 % of the draws,
+    and the correlation; on it histograms, with the prior density on a scale of its own. Dashed lines are true values.
 
     Parameters
     ----------
@@ -72,7 +162,7 @@ def plot_pair(data: Posterior) -> Figure:
     theta, names, truth = theta_draws(data), parameter_names(data), true_theta(data)
     size = len(names)
     labels = [labelled(name, unit, narrow=True) for name, unit in zip(names, parameter_units(data), strict=True)]
-    figure = new_figure(max(3.2, min(10.0, 2.3 * size) + 0.4), 10.0 if size > 1 else 6.0)
+    figure = new_figure(max(3.2, min(10.0, 2.2 * size) + 0.4), 10.0 if size > 1 else 6.0)
     grid = figure.subplots(size, size, squeeze=False, sharex="col")
     for row in range(size):
         for column in range(size):
@@ -82,9 +172,8 @@ def plot_pair(data: Posterior) -> Figure:
             elif row > column:
                 _scatter(axes, theta[..., column], theta[..., row])
             else:
-                _correlation(axes, theta[..., row], theta[..., column])
-                continue
-            _true_lines(axes, truth.get(names[column]), truth.get(names[row]) if row > column else None)
+                _regions(axes, theta[..., column], theta[..., row])
+            _true_lines(axes, truth.get(names[column]), truth.get(names[row]) if row != column else None)
             _label_pair(axes, row, column, labels)
     figure.align_ylabels(list(grid[:, 0]))
     legend_above(figure, _pair_handles(data))
@@ -93,14 +182,14 @@ def plot_pair(data: Posterior) -> Figure:
 
 def _marginal(axes: Axes, data: Posterior, name: str, draws: Float) -> None:
     constants = find_group(data, "constant_data")
-    axes.hist(draws.ravel(), bins=30, density=True, color=POSTERIOR, alpha=0.35)
+    _histogram(axes, draws.ravel())
     if "prior_density" in constants and name in constants["parameter"].values:
         prior = constants.sel(parameter=name)
-        axes.plot(prior["prior_grid"], prior["prior_density"], color=PRIOR, linewidth=1.6)
-    low, high = float(draws.min()), float(draws.max())
-    if high > low:
-        # A prior wider than the picture must not stretch it.
-        axes.set_xlim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+        density = np.asarray(prior["prior_density"].values, dtype=np.float64)
+        top = np.nanmax(density, initial=0.0)
+        if top > 0.0:
+            # On the posterior's scale most priors would be a line at zero.
+            axes.plot(prior["prior_grid"], density * (0.6 * axes.get_ylim()[1] / top), color=PRIOR, linewidth=1.6)
 
 
 def _scatter(axes: Axes, horizontal: Float, vertical: Float) -> None:
@@ -112,21 +201,20 @@ def _scatter(axes: Axes, horizontal: Float, vertical: Float) -> None:
         )
 
 
-def _correlation(axes: Axes, first: Float, second: Float) -> None:
-    axes.set_axis_off()
-    if np.ptp(first) > 0.0 and np.ptp(second) > 0.0:
-        value = float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
-        strength = 0.35 + 0.65 * abs(value)
-        axes.text(
-            0.5,
-            0.5,
-            f"r = {value:+.2f}",
-            ha="center",
-            va="center",
-            transform=axes.transAxes,
-            alpha=strength,
-            fontsize=11,
-        )
+def _regions(axes: Axes, horizontal: Float, vertical: Float) -> None:
+    across, up = horizontal.ravel(), vertical.ravel()
+    if np.ptp(across) == 0.0 or np.ptp(up) == 0.0:
+        axes.set_axis_off()
+        return
+    margin = [0.15 * float(np.ptp(values)) for values in (across, up)]
+    box = [(values.min() - edge, values.max() + edge) for values, edge in zip((across, up), margin, strict=True)]
+    counts, x_edges, y_edges = np.histogram2d(across, up, bins=_GRID, range=box)
+    density = ndimage.gaussian_filter(counts, _SMOOTHING)
+    levels = mass_levels(density, _REGIONS)
+    x, y = 0.5 * (x_edges[1:] + x_edges[:-1]), 0.5 * (y_edges[1:] + y_edges[:-1])
+    axes.contourf(x, y, density.T, levels=[*levels, density.max() * 1.001], colors=_REGION_COLORS[-len(levels) :])
+    correlation = float(np.corrcoef(across, up)[0, 1])
+    axes.text(0.97, 0.97, f"r = {correlation:+.2f}", ha="right", va="top", transform=axes.transAxes, fontsize=9)
 
 
 def _true_lines(axes: Axes, horizontal: float | None, vertical: float | None) -> None:
@@ -152,12 +240,12 @@ def _stretched(limits: tuple[float, float], value: float) -> tuple[float, float]
 
 def _label_pair(axes: Axes, row: int, column: int, labels: list[str]) -> None:
     tidy(axes)
-    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.xaxis.set_major_locator(MaxNLocator(3))
     axes.yaxis.set_major_locator(MaxNLocator(4))
     size = len(labels)
     if row == size - 1:
         axes.set_xlabel(labels[column], fontsize=9)
-        axes.tick_params(axis="x", rotation=45 if size > 3 else 0)
+        axes.tick_params(axis="x", rotation=30 if size > 4 else 0)
     if row == column:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
@@ -170,14 +258,19 @@ def _label_pair(axes: Axes, row: int, column: int, labels: list[str]) -> None:
         axes.tick_params(labelleft=False)
 
 
-def _pair_handles(data: Posterior) -> list[Line2D]:
+def _pair_handles(data: Posterior) -> list[Any]:
     n_chains, names = theta_draws(data).shape[0], parameter_names(data)
-    handles = [
+    handles: list[Any] = [
         Line2D([], [], marker="o", linestyle="", markersize=4, color=chain_color(chain), label=f"chain {chain}")
         for chain in range(n_chains if len(names) > 1 else 0)
     ]
+    if len(names) > 1:
+        handles += [
+            Patch(color=color, label=f"{share:.0%} of the draws".replace("%", " %"))
+            for share, color in zip(_REGIONS, _REGION_COLORS, strict=True)
+        ]
     if "prior_density" in find_group(data, "constant_data"):
-        handles.append(Line2D([], [], color=PRIOR, linewidth=1.6, label="prior density"))
+        handles.append(Line2D([], [], color=PRIOR, linewidth=1.6, label="prior density (scale of its own)"))
     if set(names) & set(true_theta(data)):
         handles.append(Line2D([], [], **TRUTH, label="true value"))
     return handles
@@ -195,6 +288,7 @@ def plot_trajectory(data: Posterior, log: int = 0) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
+        Map above, standard deviations and errors of position and heading below.
 
     Raises
     ------
@@ -206,15 +300,13 @@ def plot_trajectory(data: Posterior, log: int = 0) -> Figure:
     suffix = log_suffixes(data)[log]
     name = f"true_pose{suffix}"
     truth = np.asarray(constants[name].values, dtype=np.float64) if name in constants else None
-    figure = new_figure(5.2)
-    panels = figure.subplot_mosaic([["map", "position"], ["map", "heading"]], width_ratios=[3, 2])
+    figure = new_figure(7.6, 6.4)
+    panels = figure.subplot_mosaic([["map", "map"], ["position", "heading"]], height_ratios=[3, 1])
     _draw_map(panels["map"], data, suffix)
-    _draw_paths(panels["map"], np.asarray(trajectory_draws(data, log).values, dtype=np.float64), path, truth)
-    _draw_spread(panels["position"], panels["heading"], path, truth)
-    drawn = [*panels["map"].get_lines(), *panels["map"].collections, *panels["position"].get_lines()]
-    # A sample of a transparent hairline would be invisible in the legend.
-    samples = Line2D([], [], color=_SAMPLED, linewidth=1.5, label="sampled paths")
-    legend_above(figure, [*drawn, samples])
+    stored = np.asarray(trajectory_draws(data, log).values, dtype=np.float64)
+    handles = _draw_path(panels["map"], stored.reshape(-1, *stored.shape[2:]), path, truth)
+    handles += _draw_spread(panels["position"], panels["heading"], path, truth)
+    legend_above(figure, [*panels["map"].collections, *panels["map"].get_lines(), *handles])
     return figure
 
 
@@ -225,38 +317,57 @@ def _draw_map(axes: Axes, data: Posterior, suffix: str) -> None:
         axes.add_collection(LineCollection(list(walls), colors="#444444", linewidths=1.6, label="walls"))
     if f"landmark_position{suffix}" in constants:
         spots = constants[f"landmark_position{suffix}"].values
-        axes.plot(spots[:, 0], spots[:, 1], "^", color="#D55E00", markersize=6, label="landmarks")
+        axes.plot(spots[:, 0], spots[:, 1], "^", color="#D55E00", markersize=6, linestyle="", label="landmarks")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     tidy(axes)
 
 
-def _draw_paths(axes: Axes, stored: Float, path: PathSummary, truth: Float | None) -> None:
-    paths = stored.reshape(-1, *stored.shape[2:])
-    shown = paths[evenly_spaced(len(paths), _MOST_PATHS)]
-    # All in one artist, each path a segment: forty separate lines would need forty legends.
-    axes.add_collection(LineCollection([one[:, :2] for one in shown], colors=_SAMPLED, linewidths=0.6, alpha=0.4))
-    axes.plot(path.mean[:, 0], path.mean[:, 1], color=POSTERIOR, linewidth=1.3, label="mean path")
+def _draw_path(axes: Axes, paths: Float, path: PathSummary, truth: Float | None) -> list[Any]:
+    """Draw the mean path in its 90 % ellipses; return what stands for the ellipses in the legend."""
+    rows = evenly_spaced(len(path.times), _MOST_ELLIPSES)
+    axes.add_collection(_ellipses(axes, paths[:, rows, :2], path.mean[rows, :2]))
     if truth is not None:
-        axes.plot(truth[:, 0], truth[:, 1], **TRUTH, label="true path")
-    axes.plot(*path.mean[0, :2], "o", color=POSTERIOR, markersize=7, markerfacecolor="white", label="start")
+        # Below the mean path: black is seen where the two differ.
+        axes.plot(truth[:, 0], truth[:, 1], color="black", linewidth=1.0, label="true path")
+    axes.plot(path.mean[:, 0], path.mean[:, 1], color=POSTERIOR, linewidth=1.1, label="mean path")
+    marks: dict[str, Any] = {"color": POSTERIOR, "markersize": 8, "linestyle": "", "zorder": 4}
+    axes.plot(*path.mean[0, :2], marker="o", markerfacecolor="white", label="start", **marks)
+    axes.plot(*path.mean[-1, :2], marker="s", label="end", **marks)
     axes.autoscale_view()
+    return [Patch(color=POSTERIOR, alpha=0.3, label="90 % ellipses of the position")]
 
 
-def _draw_spread(position: Axes, heading: Axes, path: PathSummary, truth: Float | None) -> None:
-    position.plot(path.times, np.hypot(path.sd[:, 0], path.sd[:, 1]), color="#009E73", label="posterior sd")
-    heading.plot(path.times, path.sd[:, 2], color="#009E73")
+def _ellipses(axes: Axes, positions: Float, centres: Float) -> EllipseCollection:
+    """Return the ellipses that hold 90 % of Gaussians with the covariances of `positions` (paths, rows, 2)."""
+    offset = positions - positions.mean(axis=0)
+    covariance = np.einsum("kri,krj->rij", offset, offset) / len(positions)
+    variances, directions = np.linalg.eigh(covariance)
+    axis_lengths = 2.0 * _ELLIPSE_90 * np.sqrt(np.maximum(variances, 0.0))
+    angles = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
+    return EllipseCollection(
+        axis_lengths[:, 1], axis_lengths[:, 0], angles, units="xy", offsets=centres, transOffset=axes.transData,
+        facecolors=POSTERIOR, alpha=0.25, linewidths=0.0,
+    )  # fmt: skip
+
+
+def _draw_spread(position: Axes, heading: Axes, path: PathSummary, truth: Float | None) -> list[Any]:
+    """Draw standard deviations and errors over time; return what stands for them in the legend."""
+    handles: list[Any] = [Line2D([], [], color=POSTERIOR, label="posterior standard deviation")]
+    position.plot(path.times, np.hypot(path.sd[:, 0], path.sd[:, 1]), color=POSTERIOR, linewidth=1.0, zorder=3)
+    heading.plot(path.times, path.sd[:, 2], color=POSTERIOR, linewidth=1.0, zorder=3)
     if truth is not None:
         offset = path.mean - truth
-        grey: dict[str, Any] = {"color": FAINT, "linewidth": 1.0, "zorder": 1.0}
-        position.plot(path.times, np.hypot(offset[:, 0], offset[:, 1]), label="error of the mean", **grey)
-        heading.plot(path.times, np.abs(wrap(offset[:, 2])), **grey)
+        for axes, error in ((position, np.hypot(offset[:, 0], offset[:, 1])), (heading, np.abs(wrap(offset[:, 2])))):
+            band = band_over_time(path.times, error, _TIME_BINS)
+            axes.fill_between(band.time, band.low, band.high, color=_ERROR, alpha=0.2, linewidth=0)
+            axes.plot(band.time, band.median, color=_ERROR, linewidth=1.2)
+        handles.append(Line2D([], [], color=_ERROR, label="error of the mean path (median and 90 % band)"))
     position.set_ylabel("position [m]")
     heading.set_ylabel("heading [rad]")
-    heading.set_xlabel("time [s]")
-    position.sharex(heading)
-    position.tick_params(labelbottom=False)
     for axes in (position, heading):
+        axes.set_xlabel("time [s]")
         axes.set_ylim(0, None)
         tidy(axes)
+    return handles

@@ -20,7 +20,7 @@ _DOTS_PER_INCH = 140
 _PIXELS_PER_INCH = 96
 # A figure may shrink to this share of its size before its letters of 10 points are hard to read. On a screen that is
 # narrower still the reader moves it to and fro.
-_LEAST_SHARE = 0.62
+_LEAST_SHARE = 0.6
 
 
 class Picture(NamedTuple):

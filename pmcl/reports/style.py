@@ -36,9 +36,9 @@ TRUTH: dict[str, Any] = {"color": "black", "linestyle": (0, (4, 2)), "linewidth"
 # Powers of ten between which numbers at ticks are written in full, such as 0.002.
 _PLAIN_POWERS = (-4, 5)
 
-# Letters in a line of a narrow label, and in a row of a legend.
+# Letters in a line of a narrow label, and in an inch of a legend.
 _NARROW = 14
-_LEGEND_ROW = 100
+_LETTERS_PER_INCH = 11.0
 
 
 def chain_color(chain: int) -> str:
@@ -133,15 +133,25 @@ def legend_above(figure: Figure, handles: Iterable[Any]) -> None:
     """
     unique = {str(handle.get_label()): handle for handle in handles if not str(handle.get_label()).startswith("_")}
     if unique:
-        # Line and gap of an entry are as wide as some eight letters.
-        columns = max(1, _LEGEND_ROW // (8 + max(map(len, unique))))
         figure.legend(
             list(unique.values()),
             list(unique),
             loc="outside upper center",
-            ncols=min(len(unique), columns),
+            ncols=_legend_columns(list(unique), _LETTERS_PER_INCH * float(figure.get_size_inches()[0])),
             frameon=False,
         )
+
+
+def _legend_columns(labels: list[str], row: float) -> int:
+    """Return the greatest number of columns that fits into a row of so many letters; columns are filled one by one."""
+    for columns in range(len(labels), 1, -1):
+        height = -(-len(labels) // columns)
+        widths = [max(map(len, labels[first : first + height])) for first in range(0, len(labels), height)]
+        # Line and gap of an entry are as wide as some eight letters.
+        if sum(8 + width for width in widths) <= row:
+            # As few columns as give the same rows, so that no entry is alone in the last one.
+            return -(-len(labels) // height)
+    return 1
 
 
 def evenly_spaced(length: int, at_most: int) -> NDArray[np.int64]:

@@ -34,7 +34,7 @@ class Term(NamedTuple):
 TERMS: tuple[Term, ...] = (
     Term(
         "R-hat",
-        r"R-hat",
+        r"R[-‑]hat",
         "compares the spread between the chains with the spread within each chain. It is 1 when all chains sample the "
         "same distribution; above 1.01 they do not agree yet.",
     ),
@@ -123,7 +123,7 @@ TERMS: tuple[Term, ...] = (
 """In the order of their use on a posterior's page."""
 
 # Elements whose text is not running text, and elements that only hold others.
-_SILENT = frozenset({"style", "title", "code", "pre", "abbr", "h1"})
+_SILENT = frozenset({"style", "title", "code", "pre", "abbr", "h1", "h2", "h3"})
 _CONTAINERS = frozenset({"html", "head", "body", "main", "section"})
 _VOID = frozenset({"meta", "link", "br", "hr", "img", "input", "wbr", "col"})
 
