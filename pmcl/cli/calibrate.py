@@ -100,11 +100,10 @@ _COUNT = click.IntRange(min=1)
     type=click.Path(path_type=Path),
     metavar="FILE.h5",
     callback=writable_file,
-    help="Write every draw to this file, so that the run can be resumed.",
+    help="Write the run here every few seconds, so that it can be resumed, and keep the file. Without this option the "
+    "file is POSTERIOR.nc.checkpoint.h5 beside the output, removed when the posterior is written.",
 )
-@click.option(
-    "--resume", is_flag=True, help="Go on from the checkpoint, by default POSTERIOR.checkpoint.h5 beside the output."
-)
+@click.option("--resume", is_flag=True, help="Go on from the checkpoint of an interrupted run, if there is one.")
 @progress_option()
 @click.pass_context
 def calibrate(
@@ -144,8 +143,6 @@ def calibrate(
         click.echo(model_text(model, read[0]), nl=False)
         return
     assert output is not None
-    if resume and checkpoint is None:
-        checkpoint = output.with_name(f"{output.name}.checkpoint.h5")
     ctx.exit(_run(ctx, read, model, output, checkpoint, resume, settings, wants_progress(no_progress)))
 
 
@@ -162,17 +159,25 @@ def _run(
     from pmcl.posterior.calibrate import calibrate as sample
     from pmcl.posterior.files import write_posterior
 
-    begun = checkpoint is not None and checkpoint.exists()
-    if checkpoint is not None:
-        on_interrupt(ctx, f"go on with the same command and --resume --checkpoint {checkpoint}")
+    file = checkpoint if checkpoint is not None else output.with_name(f"{output.name}.checkpoint.h5")
+    begun = file.exists()
+    to_go_on = f"what was sampled is in {file}: go on with the same command and --resume"
     try:
-        data = sample(logs, model, checkpoint=checkpoint, resume=resume, progress=progress, **settings)
+        data = sample(logs, model, checkpoint=file, resume=resume, progress=progress, **settings)
     except PmclError:
         # The same command would fail again, and what it left would only stand in the way of the next.
-        if checkpoint is not None and not begun:
-            checkpoint.unlink(missing_ok=True)
+        if not begun:
+            file.unlink(missing_ok=True)
         raise
+    except KeyboardInterrupt:
+        on_interrupt(ctx, to_go_on if file.exists() else "nothing was sampled yet")
+        raise
+    on_interrupt(ctx, to_go_on)
     write_posterior(data, output)
+    on_interrupt(ctx, f"the posterior was written to {output}")
+    # A file that the user named is kept: it can be looked at, and the same command with --resume reads it at once.
+    if checkpoint is None:
+        file.unlink(missing_ok=True)
     status = tell(data)
     click.echo(f"posterior: {output}")
     return status

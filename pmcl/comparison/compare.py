@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.comparison.curves import Curve, Reference, learning_curve, reference_of
 from pmcl.comparison.methods import Method, as_methods, draw
 from pmcl.errors import PmclError, SamplingError
+from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.diagnostics import R_HAT_LIMIT
@@ -103,6 +104,7 @@ class Comparison:
         return self.reference.r_hat <= R_HAT_LIMIT
 
 
+@stopping_on_interrupt()
 def compare(
     log: RobotLog,
     methods: str | Sequence[Method],

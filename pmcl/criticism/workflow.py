@@ -32,6 +32,7 @@ from pmcl.criticism.verdict import called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.predictive import Predictions, predict_readings
+from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
@@ -48,6 +49,7 @@ _LEAST_ROWS = 60
 _ROUNDS_OF_METROPOLIS = 2
 
 
+@stopping_on_interrupt()
 def criticize(
     log: RobotLog,
     model: RobotModel | None = None,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.errors import FilterError
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
+from pmcl.interrupts import check_interrupt
 from pmcl.models.tables import Tables
 
 __all__ = ["FilterPass", "SweepInfo", "draw_paths", "log_joint", "make_rng", "run_filter", "sweep_path"]
@@ -121,6 +122,7 @@ def run_filter(
     FilterError
         When every particle gets weight zero, a density is not a number, or n < 2.
     """
+    check_interrupt()
     check_particles(n_particles)
     if scheme not in SCHEMES:
         raise FilterError(f"expected a resampling scheme out of {sorted(SCHEMES)}, but got '{scheme}'")

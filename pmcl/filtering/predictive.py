@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.filtering.particle_filter import FilterPass, check_particles, raise_outcome
+from pmcl.interrupts import check_interrupt
 from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
 from pmcl.models.tables import LandmarkSightings, RangeBeams, Tables
 
@@ -147,6 +148,7 @@ def predict_readings(
     FilterError
         When every particle gets weight zero, a density is not a number, or n < 2.
     """
+    check_interrupt()
     check_particles(n_particles)
     status, t, evidence, particles, log_weights, steps, ancestors, score, low, high = smc.predictive_pass(
         tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pmcl import defaults
 from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
+from pmcl.interrupts import check_interrupt, stopping_on_interrupt
 from pmcl.localization.metrics import nees, pose_errors, rmse
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.setup import Prepared, prepare
@@ -77,6 +78,7 @@ def run_seeds(seed: int, repetitions: int) -> tuple[int, ...]:
     return tuple(int(value) for value in np.random.SeedSequence(seed).generate_state(repetitions, dtype=np.uint64))
 
 
+@stopping_on_interrupt()
 def localize_many(
     log: RobotLog,
     model: RobotModel | None = None,
@@ -142,6 +144,7 @@ def _run_chunk(prepared: Prepared, runs: Runs, chunk: NDArray[np.int64]) -> None
     tracker, log = prepared.tracker.share(), prepared.log
     reference = log.true_poses if runs.pose_mean.shape[2] == 3 else None
     for r in chunk:
+        check_interrupt()
         tracker.forget()
         beliefs, lost_at = tracker.run_until_lost(0, log.n_steps, prepared.counts, make_rng(runs.seeds[r]), log.where)
         mean = beliefs.mean[:, : runs.pose_mean.shape[2]]

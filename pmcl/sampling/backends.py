@@ -1,20 +1,20 @@
-"""emcee backends that keep every draw of theta but not every trajectory.
+"""What a stage of a run keeps of its steps: every draw of theta, but of the trajectories only what is needed later.
 
-A trajectory of 2000 poses takes 48 kB; stored at each step of each chain it would fill memory and disk, and nobody
-looks at thousands of them. These backends keep each k-th trajectory and always the last one, which a resumed run needs.
+A trajectory of 2000 poses takes 48 kB; stored at each step of each chain it would fill memory and disk. Three things
+are needed of them: the last one of each chain, from which the next step is made; their mean over the last steps of a
+stage of burn-in, around which the model is linearised; and some of those of the draws, which are part of the result.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import h5py
 import numpy as np
-from emcee.backends import Backend, HDFBackend
+from emcee.backends import Backend
 from emcee.state import State
 from numpy.typing import NDArray
 
-__all__ = ["CheckpointBackend", "MemoryBackend", "StageBackend"]
+__all__ = ["StageBackend"]
 
 Float = NDArray[np.float64]
 
@@ -37,20 +37,51 @@ def _with_path(blobs: Any, path: Float) -> Any:
     return full
 
 
-def _stripped(state: State) -> State:
-    return State(
-        state.coords, log_prob=state.log_prob, blobs=_without_path(state.blobs), random_state=state.random_state
-    )
+class StageBackend(Backend):  # type: ignore[misc]
+    """An emcee backend in memory for one stage of a run; :mod:`pmcl.sampling.checkpoint` writes it to disk.
 
+    Parameters
+    ----------
+    steps : int
+        How many steps the stage has.
+    window : int
+        Over how many steps at its end trajectories are averaged; 0: over none.
+    keep_every : int
+        Every how many steps a trajectory is kept; 0: none is.
 
-class MemoryBackend(Backend):  # type: ignore[misc]
-    """A chain in memory that keeps the trajectory of every `every`-th step and the last one."""
+    Attributes
+    ----------
+    window_start : int
+        The first step of the window; a stage that will be ended early begins it earlier.
+    path_sum : ndarray of shape (K, sum of T_l, D) or None
+        Sum of the trajectories of the window so far.
+    last_path : ndarray of shape (K, sum of T_l, D) or None
+        Trajectories after the last step.
+    first_path : ndarray of shape (K, sum of T_l, D) or None
+        The first trajectories that were kept.
+    kept_offsets : list of ndarray of float32, shape (K, sum of T_l, D)
+        The trajectories that were kept, as differences from `first_path`. Single precision leaves errors of a
+        ten-millionth of what trajectories differ by, and takes half the space.
+    whole : bool
+        False when a step was stored only in part, because something broke in meanwhile.
+    """
 
-    def __init__(self, every: int = 1) -> None:
-        self.every = every
-        self._kept: list[Float] = []
-        self._last: Float | None = None
+    def __init__(self, steps: int, window: int = 0, keep_every: int = 0) -> None:
+        self.steps = steps
+        self.window_start = steps - window
+        self.keep_every = keep_every
+        self.path_sum: Float | None = None
+        self.last_path: Float | None = None
+        self.first_path: Float | None = None
+        self.kept_offsets: list[NDArray[np.float32]] = []
+        self.whole = True
         super().__init__()
+        self.iteration = 0  # emcee sets it only when the first step comes
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps of the stage have been made."""
+        return bool(self.iteration >= self.steps)
 
     def grow(self, ngrow: int, blobs: Any) -> None:
         """Make room for more steps."""
@@ -58,64 +89,45 @@ class MemoryBackend(Backend):  # type: ignore[misc]
 
     def save_step(self, state: State, accepted: Any) -> None:
         """Store one step."""
-        if self.iteration % self.every == 0:
-            self._kept.append(np.array(state.blobs["path"]))
-        self._last = np.array(state.blobs["path"])
-        super().save_step(_stripped(state), accepted)
+        self.whole = False
+        path = np.array(state.blobs["path"])
+        if self.keep_every and self.iteration % self.keep_every == 0:
+            if self.first_path is None:
+                self.first_path = path
+            self.kept_offsets.append((path - self.first_path).astype(np.float32))
+        if self.iteration >= self.window_start:
+            self.path_sum = path.copy() if self.path_sum is None else self.path_sum + path
+        self.last_path = path
+        plain = State(
+            state.coords, log_prob=state.log_prob, blobs=_without_path(state.blobs), random_state=state.random_state
+        )
+        super().save_step(plain, accepted)
+        self.whole = True
 
     def get_last_sample(self) -> State:
         """Return the last step, complete."""
         state = super().get_last_sample()
-        assert self._last is not None
-        state.blobs = _with_path(state.blobs, self._last)
+        assert self.last_path is not None
+        state.blobs = _with_path(state.blobs, self.last_path)
         return state
 
-    def kept_paths(self) -> Float:
-        """Return the stored trajectories (M, K, sum of T_l, D); step ``every * i`` has number i."""
-        return np.array(self._kept)
+    def begin_window(self) -> None:
+        """Let the window begin now, if it has not begun: the stage will be ended before its last step."""
+        self.window_start = min(self.window_start, int(self.iteration))
 
+    @property
+    def window(self) -> slice:
+        """The steps of the window, at least the last step."""
+        return slice(min(self.window_start, int(self.iteration) - 1), None)
 
-class CheckpointBackend(HDFBackend):  # type: ignore[misc]
-    """The same in a group of an HDF5 file: emcee's own layout, and two datasets for trajectories beside it."""
-
-    def __init__(self, filename: str, name: str, every: int = 1) -> None:
-        self.every = every
-        super().__init__(filename, name=name)
-
-    def grow(self, ngrow: int, blobs: Any) -> None:
-        """Make room for more steps."""
-        super().grow(ngrow, _without_path(blobs))
-        shape = blobs["path"].shape
-        with self.open("a") as file:
-            group = file[self.name]
-            if "kept_path" not in group:
-                group.create_dataset("kept_path", (0, *shape), maxshape=(None, *shape), dtype=float)
-                group.create_dataset("last_path", (2, *shape), dtype=float)
-            group["kept_path"].resize(-(-group["chain"].shape[0] // self.every), axis=0)
-
-    def save_step(self, state: State, accepted: Any) -> None:
-        """Store one step. emcee's step counter is written last: what it does not count, a killed run did not do."""
-        iteration = self.iteration
-        with self.open("a") as file:
-            group = file[self.name]
-            group["last_path"][iteration % 2] = state.blobs["path"]
-            if iteration % self.every == 0:
-                group["kept_path"][iteration // self.every] = state.blobs["path"]
-        super().save_step(_stripped(state), accepted)
-
-    def get_last_sample(self) -> State:
-        """Return the last step, complete."""
-        state = super().get_last_sample()
-        with self.open() as file:
-            path = file[self.name]["last_path"][(self.iteration - 1) % 2]
-        state.blobs = _with_path(state.blobs, path)
-        return state
+    def window_mean(self) -> Float:
+        """Return the mean trajectory of each chain over the window, shape (K, sum of T_l, D)."""
+        if self.path_sum is None:
+            assert self.last_path is not None
+            return self.last_path
+        return np.asarray(self.path_sum / (self.iteration - self.window_start))
 
     def kept_paths(self) -> Float:
-        """Return the stored trajectories (M, K, sum of T_l, D); step ``every * i`` has number i."""
-        with self.open() as file:
-            stored: h5py.Dataset = file[self.name]["kept_path"]
-            return np.array(stored[: -(-self.iteration // self.every)])
-
-
-StageBackend = MemoryBackend | CheckpointBackend
+        """Return the trajectories that were kept (M, K, sum of T_l, D); step ``keep_every * i`` has number i."""
+        assert self.first_path is not None
+        return self.first_path + np.array(self.kept_offsets, dtype=np.float64)

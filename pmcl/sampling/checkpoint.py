@@ -1,20 +1,40 @@
-"""The checkpoint file: which run it belongs to, and where its stages are."""
+"""The checkpoint file: which run it belongs to, and all that resuming the run needs.
+
+The file is HDF5 with one group for each stage. Chains, log densities and blobs lie where emcee's own ``HDFBackend``
+looks for them, trajectories beside them. Each time the whole file is written anew under another name, which then takes
+the place of the old one: whatever happens in between, there is always one complete file.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
+import time
 from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+import emcee
 import h5py
 import numpy as np
 
 from pmcl.errors import SamplingError
 from pmcl.models.robot_model import BoundModel
+from pmcl.sampling.backends import StageBackend
 
-__all__ = ["check_fingerprint", "fingerprint", "stored_steps"]
+__all__ = ["Checkpoint", "fingerprint"]
+
+_logger = logging.getLogger("pmcl.sampling")
+
+# Grows when the layout of the file changes.
+_VERSION = 2
+# Seconds between two writes: at least so many, and so many times as long as the last write took. So a run that is
+# killed loses a few seconds, and writing takes at most a twentieth of the time.
+_LEAST_PAUSE, _PAUSE_PER_WRITE = 5.0, 20.0
+_ARRAYS = ("chain", "log_prob", "blobs")
 
 
 def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
@@ -46,8 +66,8 @@ def _digest_table(digest: Any, table: Any) -> None:
             digest.update(name.encode() + np.asarray(value).tobytes())
 
 
-def check_fingerprint(path: str, expected: str, *, resume: bool) -> None:
-    """Prepare a checkpoint file for a run.
+class Checkpoint:
+    """The checkpoint file of one run.
 
     Parameters
     ----------
@@ -56,39 +76,178 @@ def check_fingerprint(path: str, expected: str, *, resume: bool) -> None:
     expected : str
         Fingerprint of the run.
     resume : bool
-        Whether an existing file is continued; otherwise it is an error, so that no finished chain is destroyed.
+        Whether an existing file is continued; otherwise it is an error, so that no chain is destroyed.
 
     Raises
     ------
     SamplingError
-        When the file belongs to another run, is no checkpoint, or exists though nothing is to be resumed.
+        When the file belongs to another run, is damaged or no checkpoint, is in use, exists though nothing is to be
+        resumed, or cannot be written.
+
+    Notes
+    -----
+    Two runs may use one file at the same time without harm: as the runs are the same, so is what they write.
     """
-    if os.path.exists(path):
-        if not resume:
+
+    def __init__(self, path: str, expected: str, *, resume: bool) -> None:
+        self.path, self.expected = Path(path), expected
+        self._stages: dict[str, StageBackend] = {}
+        self._steps_written = 0
+        self._due = time.monotonic() + _LEAST_PAUSE
+        if not self.path.exists():
+            if resume:
+                _logger.info("there is no checkpoint %s yet: the run starts from the beginning", self.path)
+            self._try_folder()
+        elif not resume:
             raise SamplingError(
-                f"{path}: expected no checkpoint, but there is one; resume it, or remove it to start anew"
+                f"{path}: expected no checkpoint, but there is one of a run that was interrupted or kept; "
+                "resume it (--resume), or remove it to start anew"
             )
+        else:
+            self._check_run()
+
+    def backend(self, name: str, steps: int, window: int, keep_every: int) -> StageBackend:
+        """Return the backend of a stage, with the steps that the file holds of it.
+
+        Stages must be asked for in their order.
+        """
+        backend = StageBackend(steps, window, keep_every)
+        self._stages[name] = backend
+        if self.path.exists():
+            try:
+                with h5py.File(self.path, "r") as file:
+                    if name in file:
+                        _read_stage(file[name], backend)
+            # HDF5 raises nearly anything on damaged files: KeyError and RuntimeError besides OSError and ValueError.
+            except Exception as error:
+                raise self._unreadable(error) from None
+        self._steps_written = self._steps()
+        return backend
+
+    def step_done(self) -> None:
+        """Write the file when the last time is long enough ago.
+
+        A file that cannot be written now, say because the disk is full, is no reason to lose the run: the
+        checkpoint before is still there, a warning is logged, and the next attempt comes later.
+        """
+        if time.monotonic() >= self._due:
+            self.write()
+
+    def write(self) -> None:
+        """Write what was done since the last time, if anything was; see :meth:`step_done` for errors."""
+        if self._steps() == self._steps_written or not all(backend.whole for backend in self._stages.values()):
+            return
+        begun = time.monotonic()
+        temporary = self._temporary()
         try:
-            with h5py.File(path, "r") as file:
-                found = str(file.attrs.get("pmcl_fingerprint", ""))
+            with h5py.File(temporary, "w") as file:
+                self._fill(file)
+            with open(temporary, "rb+") as written:
+                os.fsync(written.fileno())
+            os.replace(temporary, self.path)
+            self._steps_written = self._steps()
+        except (OSError, RuntimeError) as error:
+            _logger.warning("%s: the checkpoint could not be written (%s); the run goes on", self.path, error)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+            now = time.monotonic()
+            self._due = now + max(_LEAST_PAUSE, _PAUSE_PER_WRITE * (now - begun))
+
+    @property
+    def steps_written(self) -> int:
+        """How many steps of all stages the file holds."""
+        return self._steps_written
+
+    def _steps(self) -> int:
+        return sum(int(backend.iteration) for backend in self._stages.values())
+
+    def _temporary(self) -> Path:
+        return self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+
+    def _try_folder(self) -> None:
+        """Find out now, not after hours, whether the file can be written."""
+        temporary = self._temporary()
+        try:
+            temporary.touch()
+            temporary.unlink()
         except OSError as error:
             raise SamplingError(
-                f"{path}: expected an HDF5 checkpoint, but it cannot be read ({error}); remove it to start anew"
+                f"{self.path}: the checkpoint cannot be written ({error}); choose another folder"
             ) from None
-        if found != expected:
+
+    def _unreadable(self, error: Exception) -> SamplingError:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, BlockingIOError) or "unable to lock file" in reason:
+            return SamplingError(
+                f"{self.path}: expected a checkpoint that can be read, but another program has it open; "
+                "wait until it is done, or close it"
+            )
+        return SamplingError(
+            f"{self.path}: expected an HDF5 checkpoint, but it cannot be read ({reason[:120]}); "
+            "remove it to start anew"
+        )
+
+    def _check_run(self) -> None:
+        try:
+            with h5py.File(self.path, "r") as file:
+                found = str(file.attrs.get("pmcl_fingerprint", ""))
+                version = int(file.attrs.get("pmcl_checkpoint", 0))
+        except Exception as error:
+            raise self._unreadable(error) from None
+        if version != _VERSION:
             raise SamplingError(
-                f"{path}: the checkpoint belongs to another run (log, model, priors or settings differ); "
+                f"{self.path}: expected a checkpoint of this version of pmcl, but another version or program wrote "
+                "it; resume with that version, or remove it to start anew"
+            )
+        if found != self.expected:
+            raise SamplingError(
+                f"{self.path}: the checkpoint belongs to another run (log, model, priors or settings differ); "
                 "resume with the settings it was begun with, or remove it to start anew"
             )
-        return
-    try:
-        with h5py.File(path, "w") as file:
-            file.attrs["pmcl_fingerprint"] = expected
-    except OSError as error:
-        raise SamplingError(f"{path}: the checkpoint cannot be written ({error}); choose another folder") from None
+
+    def _fill(self, file: Any) -> None:
+        file.attrs["pmcl_fingerprint"] = self.expected
+        file.attrs["pmcl_checkpoint"] = _VERSION
+        stages = [(name, backend) for name, backend in self._stages.items() if backend.iteration]
+        for number, (name, backend) in enumerate(stages):
+            group = file.create_group(name)
+            _write_stage(group, backend)
+            if number == len(stages) - 1:
+                group["last_path"] = backend.last_path
+            # The stage after this one is made with what was tuned from this one's mean trajectory.
+            if backend.path_sum is not None and number >= len(stages) - 2:
+                group["path_sum"] = backend.path_sum
 
 
-def stored_steps(path: str, name: str) -> int:
-    """Return how many steps of stage `name` a checkpoint file holds; 0 when it has none."""
-    with h5py.File(path, "r") as file:
-        return int(file[name].attrs["iteration"]) if name in file else 0
+def _write_stage(group: Any, backend: StageBackend) -> None:
+    steps = int(backend.iteration)
+    # The attributes that emcee's HDFBackend has.
+    group.attrs["version"] = emcee.__version__
+    group.attrs["nwalkers"], group.attrs["ndim"] = backend.shape
+    group.attrs["has_blobs"], group.attrs["iteration"] = True, steps
+    for number, part in enumerate(backend.random_state):
+        group.attrs[f"random_state_{number}"] = part
+    group.attrs["window_start"] = backend.window_start
+    group["accepted"] = backend.accepted
+    for name in _ARRAYS:
+        values = getattr(backend, name)[:steps]
+        group.create_dataset(name, data=values, compression="gzip", compression_opts=1, shuffle=True)
+    if backend.first_path is not None:
+        group["first_path"] = backend.first_path
+        group["kept_offsets"] = np.array(backend.kept_offsets)
+
+
+def _read_stage(group: Any, backend: StageBackend) -> None:
+    backend.reset(int(group.attrs["nwalkers"]), int(group.attrs["ndim"]))
+    backend.iteration = int(group.attrs["iteration"])
+    backend.window_start = int(group.attrs["window_start"])
+    backend.random_state = tuple(group.attrs[f"random_state_{number}"] for number in range(5))
+    backend.accepted = group["accepted"][...]
+    for name in _ARRAYS:
+        setattr(backend, name, group[name][...])
+    for name in ("last_path", "path_sum", "first_path"):
+        if name in group:
+            setattr(backend, name, group[name][...])
+    if "kept_offsets" in group:
+        backend.kept_offsets = list(group["kept_offsets"][...])

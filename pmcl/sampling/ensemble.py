@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from pmcl.errors import FilterError, ModelError, SamplingError
 from pmcl.filtering.particle_filter import log_joint, make_rng, sweep_path
 from pmcl.models.robot_model import BoundModel
+from pmcl.sampling.stages import INCLUSION_SHARE
 from pmcl.sampling.state import ChainState, blob_dtype, into_blob, state_dimension
+from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.sweep import included
 
 __all__ = ["PseudoMarginalTarget", "first_walkers"]
@@ -77,8 +79,17 @@ class PseudoMarginalTarget:
         return value + evidence, *into_blob(state, self.dtype).item()
 
 
-def first_walkers(target: PseudoMarginalTarget, n_walkers: int, seed: int, pool: Any, tries: int = 8) -> State:
+def first_walkers(
+    target: PseudoMarginalTarget,
+    n_walkers: int,
+    seed: int,
+    pool: Any,
+    clock: Stopwatch | None = None,
+    tries: int = 8,
+) -> State:
     """Start an ensemble: of ``tries * n_walkers`` draws from the prior, those with the greatest target.
+
+    In a run of limited time there are fewer draws when they take too long, but enough to start.
 
     Raises
     ------
@@ -88,8 +99,14 @@ def first_walkers(target: PseudoMarginalTarget, n_walkers: int, seed: int, pool:
     rng = make_rng(np.random.SeedSequence(seed))
     coords = np.array([target.bound.draw_prior(rng) for _ in range(tries * n_walkers)])
     run = pool.map if pool is not None else map
-    results = list(run(target, coords))
-    values = np.array([result[0] for result in results])
+    results: list[Any] = []
+    values = np.array([])
+    for part in np.array_split(coords, tries):
+        results += run(target, part)
+        values = np.array([result[0] for result in results])
+        late = clock is not None and clock.now() >= INCLUSION_SHARE * clock.limit
+        if late and np.isfinite(values).sum() >= n_walkers:
+            break
     best = np.argsort(-values, kind="stable")[:n_walkers]
     if not np.isfinite(values[best]).all():
         raise SamplingError(

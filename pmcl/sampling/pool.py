@@ -9,6 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
+from pmcl.interrupts import check_interrupt
+
 __all__ = ["WalkerThreads", "walker_pool"]
 
 
@@ -24,10 +26,14 @@ class WalkerThreads:
         The other threads.
     others : int
         How many they are.
+    check : callable, optional
+        Called before each item; it may raise, so that the work ends early.
     """
 
-    def __init__(self, executor: ThreadPoolExecutor, others: int) -> None:
-        self._executor, self._others = executor, others
+    def __init__(
+        self, executor: ThreadPoolExecutor | None, others: int, check: Callable[[], None] | None = None
+    ) -> None:
+        self._executor, self._others, self._check = executor, others, check
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return the function's values in the order of the items; each thread takes the next item that nobody has.
@@ -35,7 +41,8 @@ class WalkerThreads:
         Raises
         ------
         Exception
-            Whatever the function raises. No thread then begins another item, and those that are at work end first.
+            Whatever the function or the check raises. No thread then begins another item, and those that are at work
+            end first.
         """
         todo = deque(enumerate(items))
         made: list[Any] = [None] * len(todo)
@@ -47,12 +54,16 @@ class WalkerThreads:
                 except IndexError:
                     return
                 try:
+                    check_interrupt()
+                    if self._check is not None:
+                        self._check()
                     made[k] = function(item)
                 except BaseException:
                     todo.clear()
                     raise
 
-        helpers = [self._executor.submit(work) for _ in range(min(self._others, len(made) - 1))]
+        others = min(self._others, len(made) - 1)
+        helpers = [self._executor.submit(work) for _ in range(others)] if self._executor is not None else []
         try:
             work()
         finally:
@@ -64,14 +75,17 @@ class WalkerThreads:
 
 
 @contextmanager
-def walker_pool(pool: Any, n_walkers: int) -> Iterator[Any]:
-    """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock."""
+def walker_pool(pool: Any, n_walkers: int, check: Callable[[], None] | None = None) -> Iterator[Any]:
+    """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock.
+
+    `check` is called before each walker's part of a step, in threads only: it may raise.
+    """
     if pool is not None:
         yield pool
         return
     threads = min(n_walkers, os.cpu_count() or 1)
     if threads == 1:
-        yield None
+        yield None if check is None else WalkerThreads(None, 0, check)
         return
     with ThreadPoolExecutor(threads - 1) as executor:
-        yield WalkerThreads(executor, threads - 1)
+        yield WalkerThreads(executor, threads - 1, check)

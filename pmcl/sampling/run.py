@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import emcee
@@ -12,16 +14,26 @@ from emcee.state import State
 from numpy.typing import NDArray
 
 from pmcl.errors import SamplingError
+from pmcl.interrupts import check_interrupt, stopping_on_interrupt
 from pmcl.models.robot_model import BoundModel
-from pmcl.sampling.backends import CheckpointBackend, MemoryBackend, StageBackend
+from pmcl.sampling.backends import StageBackend
 from pmcl.sampling.chains import Chains
-from pmcl.sampling.checkpoint import check_fingerprint, fingerprint, stored_steps
+from pmcl.sampling.checkpoint import Checkpoint, fingerprint
 from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers
 from pmcl.sampling.move import ParticleGibbsMove
 from pmcl.sampling.pool import walker_pool
-from pmcl.sampling.stages import Plan, Stage, lost_chains, plan_stages, restarted, tuned_transports
+from pmcl.sampling.stages import (
+    BURN_IN_SHARE,
+    Plan,
+    Stage,
+    hurried_rate,
+    lost_chains,
+    plan_stages,
+    restarted,
+    tuned_transports,
+)
 from pmcl.sampling.state import into_blob
-from pmcl.sampling.stopwatch import Stopwatch
+from pmcl.sampling.stopwatch import Stopwatch, TimeOver
 from pmcl.sampling.sweep import included, start_chain
 from pmcl.sampling.transport import Transport
 
@@ -29,8 +41,10 @@ __all__ = ["run_ensemble", "run_particle_gibbs"]
 
 _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
-# A run that is stopped by the clock has at least so many draws: what R-hat takes.
-_LEAST_DRAWS = 4
+# A stage of burn-in that the clock ended after fewer steps than these tells too little to tune anything from it.
+_LEAST_STEPS = 4
+# emcee sets memory aside for all steps it is asked for; a run that the clock ends is asked for this many at a time.
+_BLOCK = 5000
 # Blob fields and the names they have in ArviZ's sample_stats.
 _STATISTICS = {
     "accepted": "acceptance_rate",
@@ -104,7 +118,7 @@ def run_particle_gibbs(
     pool : object with a `map` method, optional
         Runs the chains of each step; threads on all cores when left out.
     checkpoint : str, optional
-        HDF5 file that every step is written to.
+        HDF5 file to which the run is written every few seconds, and when an error or Ctrl-C ends it.
     resume : bool
         Continue an existing checkpoint; the result is that of an uninterrupted run.
     progress : bool
@@ -112,8 +126,8 @@ def run_particle_gibbs(
     settings : dict, optional
         Further attributes of the result.
     stopwatch : Stopwatch, optional
-        Notes the time of every step, and ends the last stage when its time is over; how many draws there are then
-        depends on the machine.
+        Notes the time of every step, and ends the run when its time is over; burn-in is shortened when it would take
+        more than half of it. How many draws there are then depends on the machine. Not with a checkpoint.
 
     Returns
     -------
@@ -126,30 +140,31 @@ def run_particle_gibbs(
     """
     longest = max(bound.lengths)
     told = {"method": "particle-gibbs", "chains": n_chains, "seed": seed, **_plan_settings(plan)}
-    if checkpoint is not None:
-        check_fingerprint(checkpoint, fingerprint(bound, told), resume=resume)
     stages = plan_stages(plan, longest)
     transports: list[Transport | None] | None = None
-    restarts, redrawn = 0, 0
-    state: State | None = None
-    backends: list[StageBackend] = []
-    with walker_pool(pool, n_chains) as workers:
-        for stage in stages:
-            backend, done = _backend(checkpoint, stage.name, stage.keep_every)
-            if state is None:
-                # Also when resuming: the first states are cheap, and what they tell is part of the result.
-                state, redrawn = _first_state(bound, stage, n_chains, seed, workers)
+    restarts = 0
+    clock = stopwatch if stopwatch is not None else Stopwatch()
+    with (
+        _stoppable(checkpoint, fingerprint(bound, told), resume) as file,
+        walker_pool(pool, n_chains, clock.check) as workers,
+    ):
+        backends = [_backend(file, stage.name, stage.steps, stage.window, stage.keep_every) for stage in stages]
+        # Also when resuming: the first states are cheap, and what they tell is part of the result.
+        clock.deadline = clock.limit
+        state, redrawn = _first_state(bound, stages[0], n_chains, seed, workers)
+        for stage, backend, following in zip(stages, backends, [*backends[1:], None], strict=True):
             move = ParticleGibbsMove(bound, transports=transports, **_settings_of(stage))
-            sampler = emcee.EnsembleSampler(
-                n_chains, bound.dimension, _forbidden, pool=workers, moves=[move], backend=backend
-            )
-            last = stage is stages[-1]
-            state = _advance(sampler, state, stage.steps, done, progress, stage.name, stopwatch, last)
-            backends.append(backend)
-            if last:
-                break
+            if not backend.complete:
+                run = _Run(n_chains, bound, _forbidden, workers, move, backend, file, progress, clock)
+                state = run.advance(state, stage.name, stage.share, longest if stage.settings.data_rate else 0)
+            elif following is not None and not following.iteration:
+                state = backend.get_last_sample()
+            if following is None or backend.iteration < min(_LEAST_STEPS, stage.steps):
+                continue
             lost = lost_chains(backend, stage, longest)
             restarts += len(lost)
+            if following.complete:  # nothing is left to be made with what this stage tells
+                continue
             state = restarted(state, lost)
             if plan.transport_moves:
                 transports = tuned_transports(bound, backend, stage, lost)
@@ -213,58 +228,145 @@ def run_ensemble(
         "method": "ensemble", "chains": n_walkers, "seed": seed, "particles": particles, "draws": draws,
         "burn_in": burn_in, "moves": repr(moves), "trajectories": trajectories,
     }  # fmt: skip
-    if checkpoint is not None:
-        check_fingerprint(checkpoint, fingerprint(bound, told), resume=resume)
     target = PseudoMarginalTarget(bound, particles, seed)
     keep_every = max(1, draws // max(trajectories, 1))
     state: State | None = None
-    backends: list[StageBackend] = []
-    with walker_pool(pool, n_walkers) as workers:
-        for name, steps, every in (("burn-in", burn_in, max(1, burn_in)), ("draws", draws, keep_every)):
-            backend, done = _backend(checkpoint, name, every)
-            if state is None and not done:
-                state = first_walkers(target, n_walkers, seed, workers)
-            sampler = emcee.EnsembleSampler(
-                n_walkers, bound.dimension, target, pool=workers, moves=moves, backend=backend, blobs_dtype=target.dtype
-            )
-            state = _advance(sampler, state, steps, done, progress, name, stopwatch, name == "draws")
-            backends.append(backend)
+    clock = stopwatch if stopwatch is not None else Stopwatch()
+    with (
+        _stoppable(checkpoint, fingerprint(bound, told), resume) as file,
+        walker_pool(pool, n_walkers, clock.check) as workers,
+    ):
+        backends = [_backend(file, "burn-in", burn_in, 0, 0), _backend(file, "draws", draws, 0, keep_every)]
+        if not any(backend.iteration for backend in backends):
+            clock.deadline = clock.limit
+            state = first_walkers(target, n_walkers, seed, workers, clock)
+        for name, backend, share in zip(("burn-in", "draws"), backends, (BURN_IN_SHARE, 1.0), strict=True):
+            if not backend.complete:
+                run = _Run(n_walkers, bound, target, workers, moves, backend, file, progress, clock)
+                state = run.advance(state, name, share)
+            elif name == "burn-in" and not backends[1].iteration:
+                state = backend.get_last_sample()
     return _collect(bound, backends, keep_every, told | (settings or {}))
 
 
-def _backend(checkpoint: str | None, name: str, keep_every: int) -> tuple[StageBackend, int]:
-    if checkpoint is None:
-        return MemoryBackend(keep_every), 0
-    return CheckpointBackend(checkpoint, name, keep_every), stored_steps(checkpoint, name)
+@contextmanager
+def _stoppable(checkpoint: str | None, expected: str, resume: bool) -> Iterator[Checkpoint | None]:
+    """Open the checkpoint; write it whatever ends the run, and let Ctrl-C end the run between sweeps."""
+    with stopping_on_interrupt():
+        file = Checkpoint(checkpoint, expected, resume=resume) if checkpoint is not None else None
+        try:
+            yield file
+        except TimeOver:
+            raise SamplingError("the time was over before the first draw; give more time, or a shorter log") from None
+        except KeyboardInterrupt:
+            if file is None:
+                raise KeyboardInterrupt("the run was stopped; without a checkpoint nothing of it is kept") from None
+            file.write()
+            raise KeyboardInterrupt(
+                f"the run was stopped after {file.steps_written} steps; they are in {file.path}: the same call with "
+                "resume goes on"
+            ) from None
+        finally:
+            if file is not None:
+                file.write()
 
 
-def _advance(
-    sampler: Any,
-    state: State | None,
-    steps: int,
-    done: int,
-    progress: bool,
-    name: str,
-    stopwatch: Stopwatch | None,
-    last: bool,
-) -> State:
-    """Bring a stage to its full length, from the backend's last step when there is one."""
-    if done:
-        state = sampler.backend.get_last_sample()
-    if done >= steps:
+def _backend(file: Checkpoint | None, name: str, steps: int, window: int, keep_every: int) -> StageBackend:
+    return file.backend(name, steps, window, keep_every) if file else StageBackend(steps, window, keep_every)
+
+
+class _Run:
+    """One stage and all that advances it."""
+
+    def __init__(
+        self,
+        n_walkers: int,
+        bound: BoundModel,
+        target: Any,
+        pool: Any,
+        move: Any,
+        backend: StageBackend,
+        file: Checkpoint | None,
+        progress: bool,
+        clock: Stopwatch,
+    ) -> None:
+        self.move, self.backend, self.file, self.progress, self.clock = move, backend, file, progress, clock
+        dtype = getattr(target, "dtype", None)
+        self.sampler = emcee.EnsembleSampler(
+            n_walkers, bound.dimension, target, pool=pool, moves=move, backend=backend, blobs_dtype=dtype
+        )
+
+    def advance(self, state: State | None, name: str, share: float, longest: int = 0) -> State:
+        """Bring the stage to its full length, or to the end of its time; go on from the last step if there is one.
+
+        Parameters
+        ----------
+        state : State, optional
+            Where a stage begins that has no steps yet.
+        name : str
+            What the stage is called.
+        share : float
+            The share of the stopwatch's time after which it ends.
+        longest : int
+            Rows of the longest log when the stage includes them by and by: it then ends only when all are included.
+        """
+        backend, clock = self.backend, self.clock
+        if backend.iteration:
+            state = backend.get_last_sample()
+        begun, deadline = clock.now(), share * clock.limit
+        # Only the end of the whole run may come before all rows are included.
+        clock.deadline = clock.limit if longest else deadline
+        pace = _Pace(self.move, longest, deadline, state) if longest and deadline < np.inf else None
+        try:
+            while not backend.complete:
+                for after in self._steps(state, name):
+                    state = after
+                    now = clock.step()
+                    check_interrupt()
+                    if self.file is not None:
+                        self.file.step_done()
+                    included = pace is None or pace.step(state, begun, now)
+                    if included and now >= 0.5 * (begun + deadline):
+                        backend.begin_window()
+                    if included and now >= deadline:
+                        raise TimeOver
+        except TimeOver:
+            if clock.now() >= clock.limit and not backend.iteration:
+                raise
         return state
-    made = sampler.sample(
-        state,
-        iterations=steps - done,
-        progress=progress,
-        progress_kwargs={"desc": f"{name:<9}"},
-        skip_initial_state_check=True,
-    )
-    for after in made:
-        state = after
-        if stopwatch is not None and not stopwatch.step() and last and sampler.backend.iteration >= _LEAST_DRAWS:
-            break
-    return state
+
+    def _steps(self, state: State | None, name: str) -> Iterator[State]:
+        left = self.backend.steps - self.backend.iteration
+        made: Iterator[State] = self.sampler.sample(
+            state,
+            iterations=min(left, _BLOCK) if self.clock.limit < np.inf else left,
+            progress=self.progress,
+            progress_kwargs={"desc": f"{name:<9}"},
+            skip_initial_state_check=True,
+        )
+        return made
+
+
+class _Pace:
+    """How fast rows are included in a run of limited time: as planned, or as fast as the time demands."""
+
+    def __init__(self, move: ParticleGibbsMove, longest: int, deadline: float, state: State | None) -> None:
+        self.move, self.longest, self.deadline = move, longest, deadline
+        self.passed = 0
+        self.adapt(state, 0.0, deadline)
+
+    def adapt(self, state: Any, pace: float, left: float) -> None:
+        """Set how many rows the next sweep includes."""
+        settings = self.move.settings
+        rate = hurried_rate(settings.data_rate, int(state.blobs["rows"].min()), self.longest, pace, left)
+        self.move.settings = replace(settings, data_rate=rate)
+
+    def step(self, state: Any, begun: float, now: float) -> bool:
+        """Take notice of a step; return whether some chain has all rows: lost ones are then restarted from there."""
+        rows = int(state.blobs["rows"].max())
+        self.passed += rows
+        self.adapt(state, (now - begun) / self.passed, self.deadline - now)
+        return rows >= self.longest
 
 
 def _settings_of(stage: Stage) -> dict[str, Any]:
@@ -278,6 +380,7 @@ def _plan_settings(plan: Plan) -> dict[str, Any]:
 def _collect(bound: BoundModel, backends: Sequence[StageBackend], keep_every: int, told: dict[str, Any]) -> Chains:
     """Put the backends' arrays, which have the step first, into chains."""
     final = backends[-1]
+    backends = [backend for backend in backends[:-1] if backend.iteration]
     blobs = final.get_blobs()
     statistics = {
         told_as: np.moveaxis(np.asarray(blobs[name], dtype=float), 0, 1) for name, told_as in _STATISTICS.items()
@@ -286,8 +389,8 @@ def _collect(bound: BoundModel, backends: Sequence[StageBackend], keep_every: in
     split = included(bound, np.moveaxis(paths, 2, 0), max(bound.lengths))
     told["draws"] = int(final.iteration)
     told["dead_sweeps"] = int(blobs["dead"][-1].sum())
-    warm_theta = np.concatenate([backend.get_chain() for backend in backends[:-1]])
-    warm_joint = np.concatenate([backend.get_blobs()["log_joint"] for backend in backends[:-1]])
+    warm_theta = np.concatenate([backend.get_chain() for backend in backends])
+    warm_joint = np.concatenate([backend.get_blobs()["log_joint"] for backend in backends])
     return Chains(
         names=bound.names,
         units=tuple(parameter.unit for parameter in bound.parameters),

@@ -24,7 +24,17 @@ from pmcl.sampling.sweep import SweepSettings, included
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, Transport, linearised_at
 
-__all__ = ["Plan", "Stage", "lost_chains", "plan_stages", "restarted", "tuned_transports"]
+__all__ = [
+    "BURN_IN_SHARE",
+    "INCLUSION_SHARE",
+    "Plan",
+    "Stage",
+    "hurried_rate",
+    "lost_chains",
+    "plan_stages",
+    "restarted",
+    "tuned_transports",
+]
 
 _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
@@ -37,6 +47,12 @@ _FIRST_PROPOSAL = 0.1
 _GAIN = 0.05
 # The independent proposal has this times the covariance of the draws: estimated from few, it is better too wide.
 _JUMP_WIDTH = 1.2
+
+# A run of limited time has all data included after the first share of it, and begins to draw after the second. Burn-in
+# that is done sooner leaves more time to draw. Half for burn-in is where neither part starves the other.
+INCLUSION_SHARE, BURN_IN_SHARE = 0.2, 0.5
+# Of the time for inclusion, so many sweeps over all rows are set aside: the first linearisation is made from them.
+_SETTLING_SWEEPS = 4
 
 
 class Stage(NamedTuple):
@@ -51,11 +67,13 @@ class Stage(NamedTuple):
     settings : SweepSettings
         What each step does.
     keep_every : int
-        Every how many steps a trajectory is stored.
+        Every how many steps a trajectory is kept; 0: none is.
     window : int
         Steps at the end of the stage from which the next one is tuned.
     restart_lost : bool
         Whether chains that lie far below the others are restarted from the best one when the stage ends.
+    share : float
+        In a run of limited time, the share of the time after which the stage ends.
     """
 
     name: str
@@ -64,6 +82,7 @@ class Stage(NamedTuple):
     keep_every: int
     window: int
     restart_lost: bool
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -108,15 +127,42 @@ def plan_stages(plan: Plan, longest: int) -> list[Stage]:
         "smoothing", plan.burn_in_particles, max(plan.metropolis_steps, 10), 0, 1, plan.data_rate, _GAIN
     )
     steps = math.ceil(longest / plan.data_rate) + plan.settle
-    stages = [Stage("inclusion", steps, inclusion, 1, max(1, plan.settle // 2), False)]
+    stages = [Stage("inclusion", steps, inclusion, 0, max(1, plan.settle // 2), False, INCLUSION_SHARE)]
     tuning = SweepSettings(plan.kernel, plan.particles, plan.metropolis_steps, moves, 1, 0, _GAIN)
     for number, length in enumerate(plan.tuning):
+        share = INCLUSION_SHARE + (BURN_IN_SHARE - INCLUSION_SHARE) * (number + 1) / len(plan.tuning)
         stages.append(
-            Stage(f"tuning-{number + 1}", length, tuning, 1, (length + 1) // 2, number < len(plan.tuning) - 1)
+            Stage(f"tuning-{number + 1}", length, tuning, 0, (length + 1) // 2, number < len(plan.tuning) - 1, share)
         )
     drawing = SweepSettings(plan.kernel, plan.particles, plan.metropolis_steps, moves, plan.sweeps_per_draw)
     stages.append(Stage("draws", plan.draws, drawing, max(1, plan.draws // max(plan.trajectories, 1)), 0, False))
     return stages
+
+
+def hurried_rate(rate: int, rows: int, longest: int, pace: float, left: float) -> int:
+    """Return how many rows each sweep has to include so that all are included in the time that is left.
+
+    Parameters
+    ----------
+    rate : int
+        What was planned; never less is returned.
+    rows, longest : int
+        Rows included so far, and rows in all.
+    pace : float
+        Seconds that a sweep of all chains takes for each included row.
+    left : float
+        Seconds left for including the data.
+
+    Returns
+    -------
+    int
+        Sweeps that grow from l to T rows by r each pass over (T^2 - l^2) / (2 r) rows in all.
+    """
+    left -= _SETTLING_SWEEPS * longest * pace
+    rows_passed = left / pace if pace > 0.0 else math.inf
+    if rows_passed <= longest:
+        return max(rate, longest - rows)
+    return max(rate, math.ceil((longest**2 - rows**2) / (2.0 * rows_passed)))
 
 
 def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, int]:
@@ -138,7 +184,7 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
             f"no chain got past row {reached} of {longest}: every particle dies there; "
             "use more particles, wider priors, or a model with outliers"
         )
-    evidence = np.where(complete, blobs["log_evidence"][-stage.window :], -np.inf)
+    evidence = np.where(complete, blobs["log_evidence"][backend.window], -np.inf)
     centre = np.median(evidence, axis=0)
     best = int(np.argmax(centre))
     gap = centre[best] - centre
@@ -176,7 +222,7 @@ def tuned_transports(
     The reference is the chain's own mean trajectory. The random walk's covariance is pooled within the chains, so that
     chains that have not met do not widen it; the independent proposal covers the draws of all chains.
     """
-    thetas, paths = backend.get_chain()[-stage.window :], backend.kept_paths()[-stage.window :]
+    thetas, paths = backend.get_chain()[backend.window], backend.window_mean()
     transform = Unconstrained(bound.parameters)
     source = np.array([lost.get(k, k) for k in range(thetas.shape[1])])
     d = thetas.shape[2]
@@ -193,6 +239,6 @@ def tuned_transports(
         proposal = Proposal(root, u.mean(axis=(0, 1)), spread)
     transports = []
     for k in source:
-        reference = included(bound, paths[:, k].mean(axis=0), max(bound.lengths))
+        reference = included(bound, paths[k], max(bound.lengths))
         transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, proposal))
     return transports

@@ -7,35 +7,56 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-__all__ = ["Stopwatch"]
+__all__ = ["Stopwatch", "TimeOver"]
+
+
+class TimeOver(Exception):
+    """The time of a stage is over; a step that is being made is dropped."""
 
 
 @dataclass
 class Stopwatch:
-    """Notes the time of every step of one run; it starts when it is made.
+    """Notes the time of every step of one run, and ends its stages; it starts when it is made.
 
     Attributes
     ----------
     limit : float
-        Time after which no further draw is made [s]. Burn-in is never cut short, as what follows is tuned from it.
+        Seconds that the whole run may take.
     tell : callable, optional
         Called after every step with the seconds since the start.
+    clock : callable
+        Returns the time [s].
     wall, cpu : list of float
         Seconds since the start after each step: those of the clock, and those of all cores together.
+    deadline : float
+        When :meth:`check` begins to raise TimeOver [s since the start].
     """
 
     limit: float = math.inf
     tell: Callable[[float], None] | None = None
+    clock: Callable[[], float] = time.perf_counter
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
-    _begin: tuple[float, float] = field(
-        default_factory=lambda: (time.perf_counter(), time.process_time()), init=False, repr=False
-    )
+    deadline: float = math.inf
+    _begin: tuple[float, float] = field(init=False, repr=False)
 
-    def step(self) -> bool:
-        """Note that a step is done; return whether there is time for another."""
-        self.wall.append(time.perf_counter() - self._begin[0])
+    def __post_init__(self) -> None:
+        """Start."""
+        self._begin = (self.clock(), time.process_time())
+
+    def now(self) -> float:
+        """Return the seconds since the start."""
+        return self.clock() - self._begin[0]
+
+    def check(self) -> None:
+        """Raise TimeOver when the deadline has passed; called before each walker's part of a step."""
+        if self.deadline < math.inf and self.now() >= self.deadline:
+            raise TimeOver
+
+    def step(self) -> float:
+        """Note that a step is done; return the seconds since the start."""
+        self.wall.append(self.now())
         self.cpu.append(time.process_time() - self._begin[1])
         if self.tell is not None:
             self.tell(self.wall[-1])
-        return self.wall[-1] < self.limit
+        return self.wall[-1]

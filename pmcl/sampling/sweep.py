@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError, SamplingError
 from pmcl.filtering.particle_filter import Kernel, SweepInfo, check_particles, log_joint, make_rng, sweep_path
+from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.metropolis import update_theta
@@ -111,6 +112,7 @@ def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts:
     rows = min(settings.data_rate or max(bound.lengths), max(bound.lengths))
     size = state_dimension(bound)
     for attempt in range(attempts):
+        check_interrupt()
         theta = bound.draw_prior(rng)
         path = np.zeros((sum(bound.lengths), size))
         views = included(bound, path, rows)
@@ -187,6 +189,7 @@ def _sweep(
     state: ChainState,
     rng: np.random.Generator,
 ) -> ChainState:
+    check_interrupt()
     everything = max(bound.lengths)
     rows = min(everything, state.rows + settings.data_rate) if settings.data_rate else everything
     # New rows have no trajectory yet, so only the smoothing kernel can add them.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -125,9 +127,9 @@ def test_the_model_file_and_several_logs_reach_the_sampler(run, log_file, tmp_pa
 
 def test_a_resumed_run_is_the_run(run, log_file, tmp_path):
     first, second = tmp_path / "first.nc", tmp_path / "second.nc"
-    checkpoint = tmp_path / "first.nc.checkpoint.h5"
-    assert run("calibrate", log_file, "-o", first, *SHORT, "--resume").exit_code == 3
-    assert checkpoint.exists()
+    checkpoint = tmp_path / "run.h5"
+    assert run("calibrate", log_file, "-o", first, *SHORT, "--checkpoint", checkpoint).exit_code == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["first.nc", "log.nc", "run.h5"]
     done = run("calibrate", log_file, "-o", second, *SHORT, "--resume", "--checkpoint", checkpoint)
     assert done.exit_code == 3, done.output
     for name in parameter_names(read_posterior(first)):
@@ -164,12 +166,55 @@ def test_an_interrupted_run_says_how_to_go_on(run, log_file, tmp_path, monkeypat
 
     monkeypatch.setattr(sampling, "_first_state", interrupt)
     result = run("calibrate", log_file, "-o", tmp_path / "p.nc", *SHORT)
-    assert (result.exit_code, result.stderr) == (130, "pmcl: interrupted; nothing was written\n")
-    result = run("calibrate", log_file, "-o", tmp_path / "p.nc", *SHORT, "--resume")
+    assert (result.exit_code, result.stderr) == (130, "pmcl: interrupted; nothing was sampled yet\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.nc"]
+
+
+def test_an_interrupted_run_is_gone_on_with(run, log_file, tmp_path, monkeypatch):
+    """Ctrl-C among the draws; then the same command with --resume, which leaves nothing but the posterior."""
+    import pmcl.sampling.run as sampling
+
+    whole, output = tmp_path / "whole.nc", tmp_path / "p.nc"
+    assert run("calibrate", log_file, "-o", whole, *SHORT).exit_code == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.nc", "whole.nc"]
+    proposed, left = sampling.ParticleGibbsMove.propose, [300]
+
+    def propose(self, model, state):
+        left[0] -= 1
+        if left[0] == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+        return proposed(self, model, state)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sampling.ParticleGibbsMove, "propose", propose)
+        result = run("calibrate", log_file, "-o", output, *SHORT)
+    assert left == [0]
+    checkpoint = tmp_path / "p.nc.checkpoint.h5"
     assert result.exit_code == 130
-    assert len(result.stderr.splitlines()) == 1
-    assert "--resume --checkpoint" in result.stderr
-    assert not (tmp_path / "p.nc").exists()
+    assert result.stderr.splitlines()[-1] == (
+        f"pmcl: interrupted; what was sampled is in {checkpoint}: go on with the same command and --resume"
+    )
+    again = run("calibrate", log_file, "-o", output, *SHORT)
+    assert again.exit_code == 2
+    assert "resume it (--resume)" in again.stderr
+    assert run("calibrate", log_file, "-o", output, *SHORT, "--resume").exit_code == 3
+    assert output.read_bytes() == whole.read_bytes()
+    assert not checkpoint.exists()
+
+
+def test_a_posterior_that_cannot_be_written_costs_no_run(run, log_file, tmp_path, monkeypatch):
+    import pmcl.posterior.files as files
+    from pmcl.errors import PosteriorError
+
+    def fail(data, path):
+        raise PosteriorError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_posterior", fail)
+        assert run("calibrate", log_file, "-o", tmp_path / "p.nc", *SHORT).exit_code == 2
+    assert (tmp_path / "p.nc.checkpoint.h5").exists()
+    monkeypatch.setattr("pmcl.sampling.move.step", lambda *given: pytest.fail("a finished run made another step"))
+    assert run("calibrate", log_file, "-o", tmp_path / "p.nc", *SHORT, "--resume").exit_code == 3
 
 
 def test_messages_of_the_library_are_plain_lines(run, log_file, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -10,6 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+import emcee
+import h5py
 import numpy as np
 import pytest
 from oracles.amigobot_model import amigobot_log, tight_model
@@ -35,20 +38,23 @@ CALIBRATE = {
     "seed": 11,
 }
 
-# Runs a calibration and is killed by SIGKILL within the given call of save_step: after the trajectory was written,
-# before emcee counts the step.
+# Runs a calibration that writes its checkpoint after every step, and is killed by SIGKILL in the middle of the given
+# write: half of the new file is there, the old one is still in its place.
 KILLED = """
 import os, signal, sys
-from pmcl.sampling.backends import CheckpointBackend, HDFBackend
+from pmcl.sampling import checkpoint
+checkpoint._LEAST_PAUSE = checkpoint._PAUSE_PER_WRITE = 0.0
 left = int(sys.argv[2])
-saved = HDFBackend.save_step
-def save(self, state, accepted):
+written = checkpoint._write_stage
+def write(group, backend):
     global left
-    left -= 1
+    if backend.iteration == 1 or not backend.complete:
+        left -= 1
     if left == 0:
+        group.file.flush()
         os.kill(os.getpid(), signal.SIGKILL)
-    saved(self, state, accepted)
-HDFBackend.save_step = save
+    written(group, backend)
+checkpoint._write_stage = write
 from oracles.amigobot_model import amigobot_log, tight_model
 from pmcl.posterior.calibrate import calibrate
 calibrate(amigobot_log(6, seed=3), tight_model(), checkpoint=sys.argv[1], **{settings})
@@ -80,6 +86,13 @@ def _assert_same(one, other):
     assert dict(one.settings) == dict(other.settings)
 
 
+@pytest.fixture
+def every_step(monkeypatch):
+    """Write checkpoints after every step, not every few seconds."""
+    monkeypatch.setattr("pmcl.sampling.checkpoint._LEAST_PAUSE", 0.0)
+    monkeypatch.setattr("pmcl.sampling.checkpoint._PAUSE_PER_WRITE", 0.0)
+
+
 @pytest.fixture(scope="module")
 def rail():
     return rail_model().bind(rail_log(9, seed=2))
@@ -103,6 +116,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(step, calibrated, tmp_p
     log, model = amigobot_log(6, seed=3), tight_model()
     checkpoint = tmp_path / "run.h5"
     _killed(checkpoint, step, CALIBRATE)
+    assert checkpoint.exists()
     resumed = calibrate(log, model, checkpoint=checkpoint, resume=True, **CALIBRATE)
     write_posterior(calibrated, tmp_path / "whole.nc")
     write_posterior(resumed, tmp_path / "resumed.nc")
@@ -121,11 +135,12 @@ def test_a_finished_run_is_returned_as_it_was(rail, uninterrupted, tmp_path, mon
 
 
 @pytest.mark.parametrize("count", [1, 3, 8, 20, 29])
+@pytest.mark.usefixtures("every_step")
 def test_a_run_stopped_by_an_error_can_be_resumed(rail, uninterrupted, count, tmp_path, monkeypatch):
-    """Ctrl-C at any step, in each stage in turn (7, 6, 8 and 12 steps)."""
+    """While a step is being stored, in each stage in turn (7, 6, 8 and 12 steps)."""
     from pmcl.sampling import backends
 
-    path, calls, saved = str(tmp_path / "run.h5"), [], backends.HDFBackend.save_step
+    path, calls, saved = str(tmp_path / "run.h5"), [], backends.Backend.save_step
 
     def save(self, state, accepted):
         calls.append(1)
@@ -134,9 +149,10 @@ def test_a_run_stopped_by_an_error_can_be_resumed(rail, uninterrupted, count, tm
         saved(self, state, accepted)
 
     with monkeypatch.context() as patch:
-        patch.setattr(backends.HDFBackend, "save_step", save)
+        patch.setattr(backends.Backend, "save_step", save)
         with pytest.raises(KeyboardInterrupt):
             run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+    assert Path(path).exists() == (count > 1)
     _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path, resume=True), uninterrupted)
 
 
@@ -187,6 +203,73 @@ def test_an_existing_checkpoint_is_never_overwritten(rail, finished):
     assert Path(finished).read_bytes() == before
 
 
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.99])
+def test_a_truncated_checkpoint_is_refused_in_one_line(rail, finished, share, tmp_path):
+    content, path = Path(finished).read_bytes(), tmp_path / "run.h5"
+    path.write_bytes(content[: int(share * len(content))])
+    before = path.read_bytes()
+    with pytest.raises(SamplingError, match="remove it to start anew") as caught:
+        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert path.read_bytes() == before
+
+
+def test_a_locked_checkpoint_is_refused_in_one_line(rail, finished):
+    with open(finished, "rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with pytest.raises(SamplingError, match="another program has it open") as caught:
+            run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=finished, resume=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_checkpoint_of_another_version_is_refused(rail, finished, tmp_path):
+    path = tmp_path / "run.h5"
+    path.write_bytes(Path(finished).read_bytes())
+    with h5py.File(path, "a") as file:
+        file.attrs["pmcl_checkpoint"] = 1
+    with pytest.raises(SamplingError, match="another version"):
+        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True)
+
+
+@pytest.mark.usefixtures("every_step")
+def test_a_write_that_fails_leaves_the_checkpoint_before(rail, uninterrupted, tmp_path, monkeypatch, caplog):
+    """The disk becomes full after ten writes: the run goes on, and what was written before can be resumed."""
+    path, writes, replaced = tmp_path / "run.h5", [], os.replace
+
+    def fail(source, target):
+        writes.append(1)
+        if len(writes) > 10:
+            raise OSError(28, "No space left on device")
+        replaced(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", fail)
+        _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path)), uninterrupted)
+    assert "No space left" in caplog.text
+    assert [file.name for file in tmp_path.iterdir()] == ["run.h5"]
+    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True), uninterrupted)
+
+
+def test_a_checkpoint_holds_no_more_than_resuming_needs(tmp_path):
+    """The kept trajectories in single precision, two paths for each chain, and 10 % for the rest."""
+    bound = rail_model().bind(rail_log(2000, seed=2))
+    path, chains = tmp_path / "run.h5", 2
+    plan = Plan(
+        particles=4, burn_in_particles=20, data_rate=500, settle=4, tuning=(4, 4), draws=20, trajectories=10,
+        transport_moves=0, sweeps_per_draw=1,
+    )  # fmt: skip
+    run_particle_gibbs(bound, plan, chains, seed=5, checkpoint=str(path))
+    numbers = chains * 2000
+    assert path.stat().st_size < 1.1 * (4 * 10 * numbers + 8 * 4 * numbers)
+
+
+def test_emcee_reads_a_checkpoint(rail, uninterrupted, finished):
+    draws = emcee.backends.HDFBackend(finished, name="draws", read_only=True)
+    np.testing.assert_array_equal(draws.get_chain(), np.moveaxis(uninterrupted.theta, 0, 1))
+    np.testing.assert_array_equal(draws.get_log_prob(), np.moveaxis(uninterrupted.log_joint, 0, 1))
+
+
 @pytest.mark.parametrize("content", [b"", b"no HDF5 file at all"])
 def test_what_is_no_checkpoint_is_refused_in_one_line(rail, content, tmp_path):
     path = tmp_path / "run.h5"
@@ -213,13 +296,14 @@ def test_another_seed_gives_other_chains(rail, uninterrupted):
     assert len(np.unique(uninterrupted.theta[:, -1, 0])) == 3
 
 
+@pytest.mark.usefixtures("every_step")
 def test_an_ensemble_can_be_resumed_too(rail, tmp_path, monkeypatch):
     from pmcl.sampling import backends
 
     sizes = {"particles": 20, "n_walkers": 6, "draws": 10, "burn_in": 6, "seed": 3, "trajectories": 2}
     whole = run_ensemble(rail, **sizes)
     for count in (2, 9):
-        path, calls, saved = str(tmp_path / f"run{count}.h5"), [], backends.HDFBackend.save_step
+        path, calls, saved = str(tmp_path / f"run{count}.h5"), [], backends.Backend.save_step
 
         def save(self, state, accepted, calls=calls, count=count, saved=saved):
             calls.append(1)
@@ -228,7 +312,7 @@ def test_an_ensemble_can_be_resumed_too(rail, tmp_path, monkeypatch):
             saved(self, state, accepted)
 
         with monkeypatch.context() as patch:
-            patch.setattr(backends.HDFBackend, "save_step", save)
+            patch.setattr(backends.Backend, "save_step", save)
             with pytest.raises(KeyboardInterrupt):
                 run_ensemble(rail, checkpoint=path, **sizes)
         _assert_same(run_ensemble(rail, checkpoint=path, resume=True, **sizes), whole)
