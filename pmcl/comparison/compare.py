@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,11 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.diagnostics import R_HAT_LIMIT
 from pmcl.sampling.chains import Chains
-from pmcl.sampling.run import run_particle_gibbs
+from pmcl.sampling.run import run_ensemble, run_particle_gibbs
 from pmcl.sampling.stages import Plan
 from pmcl.sampling.stopwatch import Stopwatch
 
-__all__ = ["Comparison", "MethodResult", "compare"]
+__all__ = ["Comparison", "Failure", "MethodResult", "compare"]
 
 Float = NDArray[np.float64]
 
@@ -38,8 +39,9 @@ class MethodResult:
     method : Method
     chains, draws : int
         Chains (for the ensemble, walkers), and draws of each after burn-in.
-    burn_in, burn_in_cpu : float
-        Seconds before the first draw, by the clock and of all cores together.
+    seconds, burn_in, burn_in_cpu : float
+        Seconds that the whole run took by the clock, and those before the first draw by the clock and of all cores
+        together.
     mean, sd : ndarray, shape (d,)
         Of its draws.
     curve : Curve
@@ -49,6 +51,7 @@ class MethodResult:
     method: Method
     chains: int
     draws: int
+    seconds: float
     burn_in: float
     burn_in_cpu: float
     mean: Float
@@ -59,6 +62,13 @@ class MethodResult:
     def ess_per_cpu_second(self) -> float:
         """Effective draws of the worst parameter for each CPU second, burn-in left out."""
         return float(self.curve.ess[-1] / max(self.curve.cpu[-1] - self.burn_in_cpu, 1e-9))
+
+
+class Failure(NamedTuple):
+    """A method that gave no draws in its time, and why."""
+
+    method: Method
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -84,6 +94,8 @@ class Comparison:
         Time that each method had.
     chains, seed : int
         Settings.
+    failures : tuple of Failure
+        Methods that could not start, or made no draw in their time.
     """
 
     log: str
@@ -97,6 +109,7 @@ class Comparison:
     seconds: float
     chains: int
     seed: int
+    failures: tuple[Failure, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -125,8 +138,9 @@ def compare(
     model : RobotModel, optional
         The log's default model when left out.
     seconds : float
-        Wall time of each method, burn-in included [s]; the reference takes twice as long. A burn-in that takes longer
-        is finished all the same.
+        Wall time of each method, burn-in included [s]; the reference takes twice as long. Where the usual burn-in
+        would take more than half of it, a shorter one is made. Compilation is not counted: every method runs for a
+        moment before its clock starts.
     chains : int
         Chains of each method, at least two.
     seed : int
@@ -142,7 +156,7 @@ def compare(
     ------
     PmclError
         When the methods cannot be read, `seconds` or `chains` are not usable, log and model do not fit each other, or
-        no chain can start.
+        the reference cannot start. A method that cannot is no error, but one of the result's `failures`.
     """
     wanted = as_methods(methods)
     if not (0.0 < seconds < np.inf) or chains < 2 or not wanted:
@@ -155,11 +169,18 @@ def compare(
     truth = np.array([known[name] for name in bound.names]) if set(bound.names) <= set(known) else None
     first, *seeds = (int(s) for s in np.random.SeedSequence(seed).generate_state(1 + len(wanted)))
     _compile(bound, wanted)
-    drawn, stopwatch = _timed(_REFERENCE, bound, chains, first, 2.0 * seconds, "reference", progress)
+    try:
+        drawn, stopwatch = _timed(_REFERENCE, bound, chains, first, 2.0 * seconds, "reference", progress)
+    except PmclError as error:
+        raise SamplingError(f"the reference run, {_REFERENCE} in {2.0 * seconds:g} s, gave no draws: {error}") from None
     reference = reference_of(drawn.theta)
-    results = []
+    results, failures = [], []
     for method, own in zip(wanted, seeds, strict=True):
-        made, clock = _timed(method, bound, chains, own, seconds, str(method), progress)
+        try:
+            made, clock = _timed(method, bound, chains, own, seconds, str(method), progress)
+        except PmclError as error:
+            failures.append(Failure(method, str(error)))
+            continue
         results.append(_measured(method, made, clock, reference, truth))
     return Comparison(
         log=log.robot or log.where,
@@ -168,11 +189,12 @@ def compare(
         truth=truth,
         reference=reference,
         reference_method=_REFERENCE,
-        reference_seconds=stopwatch.wall[-1],
+        reference_seconds=stopwatch.seconds,
         results=tuple(results),
         seconds=seconds,
         chains=chains,
         seed=seed,
+        failures=tuple(failures),
     )
 
 
@@ -185,7 +207,7 @@ def _compile(bound: BoundModel, methods: Sequence[Method]) -> None:
         run_particle_gibbs(bound, short, 2, 0)
     if any(method.name == "ensemble" for method in methods):
         with suppress(PmclError):
-            draw(Method("ensemble", 10), bound, 2, 0, Stopwatch(limit=0.0))
+            run_ensemble(bound, particles=10, n_walkers=2 * bound.dimension + 2, draws=1, burn_in=1, seed=0)
 
 
 def _timed(
@@ -193,7 +215,9 @@ def _timed(
 ) -> tuple[Chains, Stopwatch]:
     with _bar(label, seconds, progress) as tell:
         stopwatch = Stopwatch(seconds, tell)
-        return draw(method, bound, chains, seed, stopwatch), stopwatch
+        drawn = draw(method, bound, chains, seed, stopwatch)
+        stopwatch.stop()
+        return drawn, stopwatch
 
 
 def _measured(
@@ -206,6 +230,7 @@ def _measured(
         method=method,
         chains=made.n_chains,
         draws=n_draws,
+        seconds=clock.seconds,
         burn_in=float(wall[-n_draws - 1]),
         burn_in_cpu=float(cpu[-n_draws - 1]),
         mean=flat.mean(axis=0),

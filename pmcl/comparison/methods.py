@@ -15,8 +15,8 @@ from pmcl.sampling.stopwatch import Stopwatch
 
 __all__ = ["METHODS", "Method", "draw", "parse_methods"]
 
-# Only the clock ends a run, but emcee wants a number of steps, and sets memory aside for so many.
-_MOST_DRAWS = 20_000
+# Only the clock ends a run, but a plan has a number of draws: more than any time allows.
+_MOST_DRAWS = 1_000_000_000
 _ENSEMBLE_BURN_IN = 100
 
 METHODS: dict[str, tuple[int, str]] = {
@@ -107,7 +107,7 @@ def draw(method: Method, bound: BoundModel, chains: int, seed: int, stopwatch: S
         Number of chains; the ensemble takes as many walkers as it needs, at least 2 d + 2.
     seed : int
     stopwatch : Stopwatch
-        Says when to stop, and notes the time of every step.
+        Says when to stop, and notes the time of every step. Burn-in takes at most half of the time.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def draw(method: Method, bound: BoundModel, chains: int, seed: int, stopwatch: S
     Raises
     ------
     PmclError
-        When no chain can start.
+        When no chain can start, or the time is over before the first draw.
     """
     if method.name == "ensemble":
         return run_ensemble(

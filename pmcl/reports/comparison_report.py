@@ -15,6 +15,7 @@ from pmcl.reports.tables import Row, Table, aligned, rounded
 
 __all__ = [
     "ComparisonVerdict",
+    "column_note",
     "comparison_table",
     "comparison_text",
     "comparison_verdict",
@@ -26,6 +27,8 @@ __all__ = [
 _FAR = 4.0
 # Chains further apart than this R-hat have no effective sample size worth telling.
 _APART = 1.2
+# A method that took this many times its time is told of.
+_LATE = 1.1
 
 
 class ComparisonVerdict(NamedTuple):
@@ -83,7 +86,7 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
     ]
     settings = [
         ("log", comparison.log),
-        ("time of each method", f"{comparison.seconds:g} s, burn-in included"),
+        ("time of each method", f"{comparison.seconds:g} s, burn-in included, compilation not"),
         ("chains", str(comparison.chains)),
         ("seed", str(comparison.seed)),
         ("reference", f"{comparison.reference_method}, {comparison.reference_seconds:.0f} s, another seed"),
@@ -104,20 +107,18 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
 
 def comparison_table(comparison: Comparison) -> Table:
     """Put the results into rows of text; what misses the limit of R-hat, or the reference, is marked."""
-    columns = ["method", "chains", "draws", "burn-in [s]", "time [s]", "CPU [s]", "R-hat", "ESS", "ESS per CPU s"]
-    columns += ["error [sd]", "expected [sd]"]
+    columns = ["method", "draws", "burn-in", "time", "CPU", "R-hat", "ESS", "ESS/s", "error", "expected"]
     if comparison.truth is not None:
-        columns.append("from truth [sd]")
+        columns.append("truth")
     rows = []
     for result in comparison.results:
         curve = result.curve
         counted = bool(curve.r_hat[-1] <= _APART)
         cells = [
             str(result.method),
-            str(result.chains),
-            str(result.draws),
+            f"{result.chains} x {result.draws}",
             f"{result.burn_in:.1f}",
-            f"{curve.wall[-1]:.1f}",
+            f"{result.seconds:.1f}",
             f"{curve.cpu[-1]:.1f}",
             _number(curve.r_hat[-1], 3),
             _number(curve.ess[-1], 0) if counted else "-",
@@ -129,7 +130,9 @@ def comparison_table(comparison: Comparison) -> Table:
             cells.append(_number(curve.error_of_truth[-1], 2))
         short = not curve.r_hat[-1] <= R_HAT_LIMIT or _elsewhere(comparison, result)
         rows.append(Row(tuple(cells), short))
-    return Table(tuple(columns), tuple(rows), (6, 9))
+    for failure in comparison.failures:
+        rows.append(Row((str(failure.method), "none", *("-" for _ in columns[2:])), True))
+    return Table(tuple(columns), tuple(rows), (columns.index("R-hat"), columns.index("error")))
 
 
 def expected_error(comparison: Comparison, result: MethodResult) -> float:
@@ -155,18 +158,28 @@ def comparison_verdict(comparison: Comparison) -> ComparisonVerdict:
             "against it say little."
         )
     elif right:
+        asked = len(comparison.results) + len(comparison.failures)
         best = max(right, key=lambda result: result.ess_per_cpu_second)
         message = (
             f"{best.method} drew most: {best.ess_per_cpu_second:.3g} effective draws of the worst parameter per CPU "
-            f"second; {len(right)} of {len(comparison.results)} methods reached the posterior in "
+            f"second; {len(right)} of {asked} methods reached the posterior in "
             f"{comparison.seconds:g} s."
         )
     else:
         message = f"No method reached the posterior in {comparison.seconds:g} s."
     advice = [] if comparison.converged else ["Give more time: --seconds."]
+    for failure in comparison.failures:
+        advice.append(f"{failure.method} made no draw: {failure.reason}.")
     for result in comparison.results:
         r_hat = result.curve.r_hat[-1]
-        if not r_hat <= R_HAT_LIMIT:
+        if result.seconds > _LATE * comparison.seconds:
+            advice.append(
+                f"{result.method} took {result.seconds:.1f} s instead of {comparison.seconds:g} s: the shortest run "
+                "that it can make takes longer."
+            )
+        if not np.isfinite(r_hat):
+            advice.append(f"{result.method} made {result.draws} draws of each chain, too few to judge: give more time.")
+        elif not r_hat <= R_HAT_LIMIT:
             advice.append(f"{result.method} has not converged: R-hat {_number(r_hat, 3)}.")
         elif comparison.converged and _elsewhere(comparison, result):
             advice.append(
@@ -178,8 +191,19 @@ def comparison_verdict(comparison: Comparison) -> ComparisonVerdict:
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return the table as lines for the terminal; a star marks what misses a limit."""
-    return aligned(comparison_table(comparison), left=1)
+    """Return the table as lines for the terminal, with what its columns mean; a star marks what misses a limit."""
+    return f"{aligned(comparison_table(comparison), left=1)}\n\n{column_note(comparison)}"
+
+
+def column_note(comparison: Comparison) -> str:
+    """Say what the columns of the table are, in lines of at most 100 characters."""
+    truth = ", and the distance from the true parameters" if comparison.truth is not None else ""
+    lines = [
+        "draws: chains x draws of each. burn-in, time, CPU: seconds. ESS: effective draws of the worst parameter;",
+        "ESS/s: for each CPU second after burn-in. error, expected: distance of the mean from the reference's,",
+        f"and what chance alone gives{truth}: in posterior standard deviations.",
+    ]
+    return "\n".join(lines)
 
 
 def _elsewhere(comparison: Comparison, result: MethodResult) -> bool:

@@ -30,6 +30,8 @@ class Stopwatch:
         Seconds since the start after each step: those of the clock, and those of all cores together.
     deadline : float
         When :meth:`check` begins to raise TimeOver [s since the start].
+    seconds : float
+        Seconds from the start to :meth:`stop`.
     """
 
     limit: float = math.inf
@@ -38,6 +40,7 @@ class Stopwatch:
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     deadline: float = math.inf
+    seconds: float = math.nan
     _begin: tuple[float, float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -47,6 +50,10 @@ class Stopwatch:
     def now(self) -> float:
         """Return the seconds since the start."""
         return self.clock() - self._begin[0]
+
+    def stop(self) -> None:
+        """Note when the run has ended; a step that was dropped counts too."""
+        self.seconds = self.now()
 
     def check(self) -> None:
         """Raise TimeOver when the deadline has passed; called before each walker's part of a step."""

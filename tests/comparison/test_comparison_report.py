@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmcl.comparison.compare import Comparison, MethodResult, compare
+from pmcl.comparison.compare import Comparison, Failure, MethodResult, compare
 from pmcl.comparison.curves import learning_curve, reference_of
 from pmcl.comparison.methods import Method, parse_methods
 from pmcl.reports.comparison_report import comparison_table, comparison_text, comparison_verdict, write_comparison
@@ -23,7 +23,7 @@ def made_up(method, theta, reference, seconds_per_draw=0.01):
     time = 2.0 + seconds_per_draw * np.arange(1, n_draws + 1)
     flat = theta.reshape(-1, theta.shape[-1])
     curve = learning_curve(theta, time, 2.0 * time, reference, TRUTH)
-    return MethodResult(method, len(theta), n_draws, 2.0, 4.0, flat.mean(axis=0), flat.std(axis=0), curve)
+    return MethodResult(method, len(theta), n_draws, 10.0, 2.0, 4.0, flat.mean(axis=0), flat.std(axis=0), curve)
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_the_verdict_tells_the_best_from_the_wrong_and_the_unfinished(comparison
     rows = comparison_table(comparison).rows
     assert [row.short for row in rows] == [False, True, True]
     # Chains that have not met have no effective sample size.
-    assert [row.cells[7] == "-" for row in rows] == [False, False, True]
+    assert [row.cells[6] == "-" for row in rows] == [False, False, True]
 
 
 def test_the_numbers_are_those_of_the_draws(comparison):
@@ -62,7 +62,10 @@ def test_the_numbers_are_those_of_the_draws(comparison):
     # 4000 draws in 10 s of clock, twice that of CPU.
     assert good.ess_per_cpu_second == pytest.approx(4000.0 / 20.0, rel=0.15)
     assert inflated.curve.error[-1] == pytest.approx(np.sqrt((1.0 + 1.5**2) / 2.0), abs=0.1)
-    lines = comparison_text(comparison).splitlines()
+    text = comparison_text(comparison)
+    assert max(map(len, text.splitlines())) <= 100
+    lines = text.split("\n\n")[0].splitlines()
+    assert [line.split()[1:4] for line in lines[1:]] == [["4", "x", "1000"], ["4", "x", "1000"], ["4", "x", "200"]]
     assert len({len(line.removesuffix(" *")) for line in lines}) == 1
     assert lines[0].split()[0] == "method"
     assert [line.endswith(" *") for line in lines[1:]] == [False, True, True]
@@ -74,6 +77,21 @@ def test_a_reference_that_has_not_converged_spoils_the_verdict(comparison):
     assert not verdict.converged
     assert "The reference has not converged (R-hat 1.200" in verdict.message
     assert "--seconds" in verdict.advice[0]
+
+
+def test_a_method_without_draws_is_told_of(comparison, tmp_path):
+    poor = replace(comparison, failures=(Failure(Method("ensemble", 200), "the time was over"),))
+    assert "ensemble:200 made no draw: the time was over." in comparison_verdict(poor).advice
+    assert "1 of 4 methods" in comparison_verdict(poor).message
+    assert comparison_table(poor).rows[-1].cells[:3] == ("ensemble:200", "none", "-")
+    write_comparison(poor, tmp_path / "page.html")
+    assert "ensemble:200 made no draw" in (tmp_path / "page.html").read_text()
+
+
+def test_a_method_that_is_late_is_told_of(comparison):
+    late = replace(comparison, results=(replace(comparison.results[0], seconds=12.0), *comparison.results[1:]))
+    assert "instead of 10 s" not in " ".join(comparison_verdict(comparison).advice)
+    assert "conditional:25 took 12.0 s instead of 10 s" in " ".join(comparison_verdict(late).advice)
 
 
 def test_without_truth_there_is_no_column_of_it(comparison, tmp_path):
@@ -88,12 +106,13 @@ def test_without_truth_there_is_no_column_of_it(comparison, tmp_path):
 def test_real_methods_end_on_one_page(tmp_path):
     log = simulate_amigobot(20.0, seed=2)
     made = compare(log, "conditional:8,plain:8,ensemble:20", seconds=0.5, chains=2, seed=1)
+    assert made.failures == ()
     assert [str(result.method) for result in made.results] == ["conditional:8", "plain:8", "ensemble:20"]
     assert made.names == ("sigma_forward", "sigma_left", "sigma_turn", "sigma_range")
     np.testing.assert_allclose(made.truth, [log.true_theta[name] for name in made.names])
     for result in made.results:
-        assert result.draws >= 4
-        assert 0.0 < result.burn_in < result.curve.wall[-1]
+        assert result.draws >= 1
+        assert 0.0 < result.burn_in < result.curve.wall[-1] <= result.seconds
         assert np.all(np.diff(result.curve.wall) > 0.0)
         assert np.isfinite(result.curve.error).all()
     path = tmp_path / "page.html"

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import threading
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from oracles.random_walk_model import rail_log, rail_model
 
+import pmcl.sampling as sampling
 from pmcl.comparison.compare import compare
 from pmcl.comparison.curves import Reference, learning_curve, reference_of
 from pmcl.comparison.methods import METHODS, Method, parse_methods
 from pmcl.errors import SamplingError
 from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.sampling.run import run_particle_gibbs
-from pmcl.sampling.stages import Plan
+from pmcl.sampling.run import run_ensemble, run_particle_gibbs
+from pmcl.sampling.stages import Plan, hurried_rate
 from pmcl.sampling.stopwatch import Stopwatch
 
 
@@ -53,20 +57,103 @@ def test_impossible_comparisons(settings):
         compare(simulate_amigobot(20.0), **{"methods": "plain", **settings})
 
 
-def test_a_stopped_run_is_the_beginning_of_the_whole():
-    bound = rail_model().bind(rail_log(12, seed=3))
-    plan = Plan(particles=8, burn_in_particles=40, data_rate=6, settle=4, tuning=(6, 8), draws=40, trajectories=1)
-    whole = run_particle_gibbs(bound, plan, 2, 5)
+# Small, but with all stages: 8 steps of inclusion, 6 and 8 of tuning, 40 draws.
+PLAN = Plan(particles=8, burn_in_particles=40, data_rate=3, settle=4, tuning=(6, 8), draws=40, trajectories=1)
+
+
+class SimulatedTime:
+    """A clock that runs only while a walker makes its sweeps: some seconds for each particle and included row."""
+
+    def __init__(self, monkeypatch, seconds):
+        self.now, self.lock = 0.0, threading.Lock()
+        move, ensemble = sampling.move.step, sampling.ensemble.PseudoMarginalTarget.__call__
+
+        def step(bound, settings, transport, transform, state, seed):
+            new = move(bound, settings, transport, transform, state, seed)
+            self.advance(seconds * settings.sweeps * settings.particles * new.rows)
+            return new
+
+        def target(this, theta):
+            self.advance(seconds * this.particles * max(this.bound.lengths))
+            return ensemble(this, theta)
+
+        monkeypatch.setattr(sampling.move, "step", step)
+        monkeypatch.setattr(sampling.ensemble.PseudoMarginalTarget, "__call__", target)
+
+    def advance(self, seconds):
+        with self.lock:
+            self.now += seconds
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture(scope="module")
+def rail():
+    return rail_model().bind(rail_log(12, seed=3))
+
+
+@pytest.fixture(scope="module")
+def whole(rail):
+    return run_particle_gibbs(rail, PLAN, 2, 5)
+
+
+def test_a_run_with_time_enough_is_the_whole_run(rail, whole, monkeypatch):
     told: list[float] = []
-    clock = Stopwatch(limit=0.0, tell=told.append)
-    stopped = run_particle_gibbs(bound, plan, 2, 5, stopwatch=clock)
-    np.testing.assert_array_equal(stopped.theta, whole.theta[:, :4])
-    np.testing.assert_array_equal(stopped.warmup_theta, whole.warmup_theta)
-    assert stopped.settings["draws"] == 4
-    # One note for every step of burn-in (2 + 4 of inclusion, 6, 8) and every draw.
-    assert len(clock.wall) == len(clock.cpu) == 6 + 6 + 8 + 4
+    clock = Stopwatch(1e6, told.append, SimulatedTime(monkeypatch, 0.001))
+    made = run_particle_gibbs(rail, PLAN, 2, 5, stopwatch=clock)
+    np.testing.assert_array_equal(made.theta, whole.theta)
+    np.testing.assert_array_equal(made.warmup_theta, whole.warmup_theta)
+    assert len(clock.wall) == len(clock.cpu) == 8 + 6 + 8 + 40
     assert clock.wall == told == sorted(told)
     assert np.all(np.diff(clock.cpu) >= 0.0)
+
+
+def test_a_stopped_run_is_the_beginning_of_the_whole(rail, whole, monkeypatch):
+    """When burn-in takes less than its share, only the draws are cut."""
+    clock = Stopwatch(60.0, clock=SimulatedTime(monkeypatch, 0.001))
+    stopped = run_particle_gibbs(rail, replace(PLAN, draws=10**9), 2, 5, stopwatch=clock)
+    clock.stop()
+    np.testing.assert_array_equal(stopped.warmup_theta, whole.warmup_theta)
+    assert 40 < stopped.n_draws == stopped.settings["draws"] < 200
+    np.testing.assert_array_equal(stopped.theta[:, :40], whole.theta)
+    assert clock.seconds == pytest.approx(60.0, rel=0.02)
+
+
+# With 0.001 s for each particle and row, burn-in takes 10 s, and one sweep of all rows with 40 particles 0.96 s.
+@pytest.mark.parametrize("seconds", [24.0, 12.0, 6.0])
+def test_burn_in_takes_at_most_half_of_the_time(rail, seconds, monkeypatch):
+    clock = Stopwatch(seconds, clock=SimulatedTime(monkeypatch, 0.001))
+    made = run_particle_gibbs(rail, replace(PLAN, draws=10**9), 2, 5, stopwatch=clock)
+    clock.stop()
+    assert clock.seconds == pytest.approx(seconds, rel=0.1)
+    assert clock.wall[-made.n_draws - 1] <= 0.6 * seconds
+    assert made.n_draws >= 4
+    assert np.isfinite(made.theta).all()
+
+
+def test_time_for_nothing_is_said_to_be_too_short(rail, monkeypatch):
+    clock = Stopwatch(1.0, clock=SimulatedTime(monkeypatch, 0.01))
+    with pytest.raises(SamplingError, match="the time was over before the first draw; give more time"):
+        run_particle_gibbs(rail, PLAN, 2, 5, stopwatch=clock)
+
+
+@pytest.mark.parametrize("seconds", [30.0, 6.0])
+def test_an_ensemble_keeps_its_time_too(rail, seconds, monkeypatch):
+    clock = Stopwatch(seconds, clock=SimulatedTime(monkeypatch, 0.001))
+    made = run_ensemble(rail, particles=8, n_walkers=6, draws=10**6, burn_in=50, seed=3, stopwatch=clock)
+    clock.stop()
+    assert clock.seconds == pytest.approx(seconds, rel=0.05)
+    assert clock.wall[-made.n_draws - 1] <= 0.6 * seconds
+
+
+def test_the_rate_of_inclusion_follows_from_the_time_that_is_left():
+    # No hurry: as planned.
+    assert hurried_rate(10, 10, 1000, pace=1e-5, left=100.0) == 10
+    # 4 sweeps of 1000 rows are set aside; 20000 rows remain to be passed over: (1000^2 - 10^2) / 2 r of them.
+    assert hurried_rate(10, 10, 1000, pace=1e-3, left=24.0) == 25
+    # No time: all at once.
+    assert hurried_rate(10, 10, 1000, pace=1.0, left=24.0) == 990
 
 
 def test_curves_of_independent_draws_fall_as_they_should(rng):
