@@ -81,6 +81,17 @@ class Judgement:
         return tuple(sorted((alarm for alarm in self.alarms if alarm.raised), key=lambda alarm: alarm.p_value))
 
     @property
+    def raised_p_values(self) -> tuple[float, ...]:
+        """P-values of :attr:`raised`, all families considered: adjusted by Holm's rule (1979).
+
+        An alarm is raised where its adjusted p-value is at most the rate of false alarms that was asked for, and the
+        smallest one is :attr:`p_value`.
+        """
+        ordered = np.sort([alarm.p_value for alarm in self.alarms])
+        adjusted = np.maximum.accumulate(np.minimum(ordered * np.arange(ordered.size, 0, -1), 1.0))
+        return tuple(float(p) for p in adjusted[: len(self.raised)])
+
+    @property
     def p_value(self) -> float:
         """Probability of any such alarm when the model is right."""
         return min((min(1.0, alarm.p_value * len(self.alarms)) for alarm in self.alarms), default=1.0)

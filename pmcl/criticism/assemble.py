@@ -10,7 +10,7 @@ import numpy as np
 
 from pmcl.criticism.alarms import Judgement
 from pmcl.criticism.fit import Fit
-from pmcl.criticism.formulas import PREFIX, filled_in
+from pmcl.criticism.formulas import filled_in
 from pmcl.criticism.locate import locate
 from pmcl.criticism.passes import key_of
 from pmcl.criticism.result import Candidate, Estimate, FoundEffect, Pass, Unexplained
@@ -18,6 +18,7 @@ from pmcl.criticism.scores import Direction
 from pmcl.criticism.trials import Trial
 from pmcl.criticism.verdict import called
 from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.formula import PREFIX
 from pmcl.posterior.access import parameter_draws
 from pmcl.posterior.compat import Posterior
 
@@ -111,4 +112,5 @@ def unexplained_of(last: Pass, wanted: Sequence[Direction]) -> tuple[Unexplained
         *(one.effect.parameters[one.strength].name for one in wanted),
     )
     rows = np.concatenate([found.base, found.scores, found.scores])
-    return tuple(locate(alarm, found, labels, rows) for alarm in last.judgement.raised)
+    alarms = zip(last.judgement.raised, last.judgement.raised_p_values, strict=True)
+    return tuple(locate(alarm, found, labels, rows, p_value) for alarm, p_value in alarms)

@@ -7,11 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.filtering.estimated_path import incidence
 from pmcl.filtering.predict import beam_lengths, ideal_readings
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.terms import motion_of_rows, pose_of_rows
 from pmcl.models.tables import Tables
 
-__all__ = ["RowCovariates", "incidence", "reading_covariates", "row_covariates"]
+__all__ = ["RowCovariates", "reading_covariates", "row_covariates"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -30,10 +32,8 @@ class RowCovariates(NamedTuple):
 
 def row_covariates(log: RobotLog, path: Float) -> RowCovariates:
     """Return the covariates of each row, motion from odometry and place from the mean path (T, D)."""
-    dt = np.diff(log.times, prepend=log.times[0] - np.median(np.diff(log.times)))
-    speed = np.hypot(log.odometry[:, 0], log.odometry[:, 1]) / dt
-    heading = np.mod(path[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    return RowCovariates(np.array(log.times), speed, log.odometry[:, 2] / dt, heading, path[:, 0], path[:, 1])
+    motion, pose = motion_of_rows(log), pose_of_rows(path)
+    return RowCovariates(motion["time"], motion["speed"], motion["turn_rate"], pose["heading"], pose["x"], pose["y"])
 
 
 def reading_covariates(
@@ -77,18 +77,3 @@ def reading_covariates(
             found["distance"][mine] = ideal[k, 0]
             found["direction"][mine] = path[time[mine], 2] + ideal[k, 1]
     return found
-
-
-def incidence(table: Any, path: Float) -> Float:
-    """Return the angle between each beam and the normal of the wall it meets [rad], (T, B), 0 to pi / 2.
-
-    A beam turned by a small angle grows by its length times the tangent of the incidence, whichever wall it meets.
-    """
-    small = 1e-4
-    turned = [
-        beam_lengths(table._replace(beam_pose=table.beam_pose + np.array([0.0, 0.0, sign * small])), path)
-        for sign in (1.0, -1.0)
-    ]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slope = np.abs(turned[0] - turned[1]) / (small * (turned[0] + turned[1]))
-    return np.where(np.isfinite(slope), np.arctan(slope), 0.0)

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import FilterError, ModelError
-from pmcl.filtering.particle_filter import make_rng, run_filter, sweep_path
+from pmcl.errors import ModelError
+from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta
+from pmcl.filtering.particle_filter import make_rng, sweep_path
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.state import ChainState, state_dimension
@@ -26,9 +27,6 @@ __all__ = ["BRIEF", "GLANCE", "LONG", "THOROUGH", "Effort", "Fit", "quick_fit"]
 
 Float = NDArray[np.float64]
 
-# Noise far too small for a log makes a filter lose the robot; these factors on the prior mean are tried in turn.
-_START_FACTORS = (1.0, 2.0, 4.0, 0.5)
-_START_PARTICLES = 1000
 _FIRST_PROPOSAL = 0.1
 _GAIN = 0.05
 # A chain whose halves have means further apart than this, in its standard deviations, is still on its way.
@@ -147,13 +145,13 @@ def quick_fit(
     rng = make_rng(np.random.SeedSequence(seed))
     transform = Unconstrained(bound.parameters)
     if theta is None:
-        theta = _plausible_start(bound, rng) if draws is None else draws.mean(axis=0)
+        theta = plausible_theta(bound, rng) if draws is None else draws.mean(axis=0)
     particles = effort.particles
     # Parameters without statistics cost a density for each proposal, and transport moves change them as well.
     metropolis = 2 if bound.effects else 5
     if path is None:
         path = np.zeros((bound.lengths[0], state_dimension(bound)))
-        sweep_path(bound.tables(theta)[0], path, len(path), _START_PARTICLES, rng, "smoothing")
+        sweep_path(bound.tables(theta)[0], path, len(path), START_PARTICLES, rng, "smoothing")
         settings, draws = SweepSettings("smoothing", 10 * particles, 2 * metropolis, 0, 1, 0, _GAIN), None
     else:
         if len(path) != bound.lengths[0]:
@@ -190,27 +188,6 @@ def _on_its_way(kept: list[ChainState]) -> bool:
     thetas = np.array([one.theta for one in kept])
     halves = np.array([half.mean(axis=0) for half in np.array_split(thetas, 2)])
     return bool((np.abs(halves[0] - halves[1]) > _DRIFT * thetas.std(axis=0)).any())
-
-
-def _plausible_start(bound: BoundModel, rng: np.random.Generator) -> Float:
-    """Return a multiple of the prior mean under which the filter foresees the log best."""
-    best, found = -math.inf, None
-    for factor in _START_FACTORS:
-        theta = bound.prior_mean()
-        scale = np.array([name.startswith("sigma_") for name in bound.names])
-        theta = np.where(scale, factor * theta, theta)
-        try:
-            value = run_filter(bound.tables(theta)[0], bound.lengths[0], _START_PARTICLES, rng).log_evidence
-        except (FilterError, ModelError):
-            continue
-        if value > best:
-            best, found = value, theta
-    if found is None:
-        raise FilterError(
-            f"{bound.logs[0].where}: the filter loses the robot at once, whatever the noise; "
-            "restart with a wider start belief or more particles"
-        )
-    return found
 
 
 def _of_size(path: Float, size: int) -> Float:

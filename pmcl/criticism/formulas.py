@@ -7,71 +7,44 @@ offered as effects like any other: scored, refitted, and accepted only by held-o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
-from pmcl.criticism.covariates import incidence, row_covariates
-from pmcl.filtering.predict import beam_lengths
+from pmcl.criticism.covariates import row_covariates
+from pmcl.filtering.estimated_path import along_beams
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.effect import Effect, Where
-from pmcl.models.parameters import Parameter
-from pmcl.models.rich_tables import RichRangeBeams, rich_beams
+from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.formula import FORMULA_CARRIERS, PREFIX, formula_effect
+from pmcl.models.rich_tables import RichRangeBeams
 from pmcl.models.tables import RangeBeams, Tables
 
-__all__ = ["PREFIX", "Steady", "filled_in", "formulas", "steady_changes", "wave"]
+__all__ = ["Steady", "filled_in", "formulas", "steady_changes", "wave"]
 
 Float = NDArray[np.float64]
 
-PREFIX = "formula: "
 # Cells along the longer side of what the robot has visited, and the share of rows below which a cell is not offered.
 _CELLS, _VISITED = 4, 0.03
-_PRIOR_WIDTH = 3.0
+
+_OF_MOTION = ("translation", "turn")
+_OF_MOTION_NOISE = ("log sigma_forward", "log sigma_turn")
+_RANGE, _RANGE_NOISE = "range", "log sigma_range"
+# Beams at a steeper incidence [rad] than this count as being at this one: the tangent has no bound.
+_STEEPEST = 1.3
 
 
-class _Carrier(NamedTuple):
-    """What a formula changes: its text, the unit of the change, a clear change, and the edit."""
+class _Feature(NamedTuple):
+    """What a formula may depend on: what people call it, the term that tells it, its constants, and its values.
 
-    text: str
-    unit: str
-    clear: float
-    edit: Callable[[Tables, Float], Tables]
-    carrier: str
+    Values, (T,) or (T, B), are those of one log along the path that its fit has found.
+    """
 
-
-def _translation(tables: Tables, change: Float) -> Tables:
-    motion: Any = tables.motion
-    mean = motion.mean.copy()
-    mean[:, :2] *= 1.0 + change[:, None]
-    return tables._replace(motion=motion._replace(mean=mean))
-
-
-def _turn(tables: Tables, change: Float) -> Tables:
-    motion: Any = tables.motion
-    mean = motion.mean.copy()
-    mean[:, 2] += change
-    return tables._replace(motion=motion._replace(mean=mean))
-
-
-def _noise(component: int) -> Callable[[Tables, Float], Tables]:
-    def edit(tables: Tables, change: Float) -> Tables:
-        motion: Any = tables.motion
-        std = motion.std.copy()
-        std[:, component] *= np.exp(np.clip(change, -5.0, 5.0))
-        return tables._replace(motion=motion._replace(std=std))
-
-    return edit
-
-
-_ON_ROWS = (
-    _Carrier("translation *= 1 + ", "1", 0.1, _translation, "motion"),
-    _Carrier("turn += ", "rad", 0.04, _turn, "motion"),
-    _Carrier("log sigma_forward += ", "1", 0.5, _noise(0), "motion"),
-    _Carrier("log sigma_turn += ", "1", 0.5, _noise(2), "motion"),
-)
+    called: str
+    term: str
+    constants: Mapping[str, float]
+    values: Float
 
 
 def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = True) -> tuple[Effect, ...]:
@@ -91,15 +64,14 @@ def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = Tru
     if not hasattr(tables.motion, "mean") or path.shape[1] < 3:
         return ()
     rows = _row_features(log, path)
-    carriers = _ON_ROWS if of_noise else _ON_ROWS[:2]
-    made = [_formula(carrier, name, feature) for carrier in carriers for name, feature in rows.items()]
-    cells = _cell_features(path)
-    made += [_formula(carrier, name, feature) for carrier in _ON_ROWS[:2] for name, feature in cells.items()]
+    carriers = _OF_MOTION + _OF_MOTION_NOISE if of_noise else _OF_MOTION
+    made = [_formula(carrier, feature) for carrier in carriers for feature in rows]
+    made += [_formula(carrier, feature) for carrier in _OF_MOTION for feature in _cell_features(path)]
     for sensor in tables.sensors:
         if isinstance(sensor, RangeBeams | RichRangeBeams):
-            made += [_formula(_RANGE, name, feature) for name, feature in _beam_features(sensor, path, rows).items()]
+            made += [_formula(_RANGE, feature) for feature in _beam_features(sensor, path, rows)]
     if of_noise and any(isinstance(sensor, RangeBeams | RichRangeBeams) for sensor in tables.sensors):
-        made += [_formula(_RANGE_NOISE, name, feature) for name, feature in rows.items()]
+        made += [_formula(_RANGE_NOISE, feature) for feature in rows]
     return tuple(effect for effect in made if effect is not None)
 
 
@@ -107,15 +79,15 @@ class Steady(NamedTuple):
     """A change of what is expected that is the same in all rows: its effect, and what carries it."""
 
     effect: Effect
-    carrier: _Carrier
+    carrier: str
 
 
 def steady_changes(tables: Tables, n_rows: int) -> tuple[Steady, ...]:
     """Return the steady changes that a model can have; waves are made of them."""
-    carriers = list(_ON_ROWS[:2]) if hasattr(tables.motion, "mean") else []
+    carriers = list(_OF_MOTION) if hasattr(tables.motion, "mean") else []
     if any(isinstance(sensor, RangeBeams | RichRangeBeams) for sensor in tables.sensors):
         carriers.append(_RANGE)
-    made = ((_formula(carrier, "1", _spread_out(carrier, np.ones(n_rows))), carrier) for carrier in carriers)
+    made = ((_formula(carrier, _Feature("1", "1", {}, np.ones(n_rows))), carrier) for carrier in carriers)
     return tuple(Steady(effect, carrier) for effect, carrier in made if effect is not None)
 
 
@@ -132,15 +104,12 @@ def wave(change: Steady, log: RobotLog, period: float, begins: float) -> Effect:
         Of the wave, and a time at which it rises through zero [s]; rounded to what the formula's name tells.
     """
     period, begins = float(f"{period:.4g}"), round(begins, 2)
-    name = f"sin(2*pi*(time - {begins:.12g})/{period:g})"
-    feature = np.sin(2.0 * np.pi * (np.asarray(log.times) - begins) / period)
-    made = _formula(change.carrier, name, _spread_out(change.carrier, feature))
+    constants = {"begins": begins, "period": period}
+    called = f"sin(2*pi*(time - {begins:.12g})/{period:g})"
+    values = np.sin(2.0 * np.pi * (np.asarray(log.times) - begins) / period)
+    made = _formula(change.carrier, _Feature(called, "sin(2*pi*(time - begins)/period)", constants, values))
     assert made is not None
     return made
-
-
-def _spread_out(carrier: _Carrier, rows: Float) -> Float:
-    return rows[:, None] if carrier is _RANGE else rows
 
 
 def filled_in(name: str, value: float) -> str:
@@ -148,88 +117,68 @@ def filled_in(name: str, value: float) -> str:
     return name.replace("c*", f"{value:.3g}*", 1).replace("+ -", "- ")
 
 
-def _formula(carrier: _Carrier, name: str, feature: Float) -> Effect | None:
+def _formula(carrier: str, feature: _Feature) -> Effect | None:
     """Return one formula, or None for a feature that does not vary."""
-    spread = float(np.sqrt(np.mean(feature**2)))
-    if not spread > 1e-9 * (1.0 + float(np.abs(feature).max())):
+    spread = float(np.sqrt(np.mean(feature.values**2)))
+    if not spread > 1e-9 * (1.0 + float(np.abs(feature.values).max())):
         return None
-    clear = carrier.clear / spread
-
-    def change(tables: Tables, values: Any, log: RobotLog, where: Where) -> Tables:
-        return carrier.edit(tables, float(values[0]) * feature[: log.n_steps])
-
-    plain = "".join(letter if letter.isalnum() else "_" for letter in f"{carrier.text}{name}").strip("_")
-    parameter = "formula_" + "_".join(part for part in plain.split("_") if part)
-    return Effect(
-        name=f"{PREFIX}{carrier.text}c*{name}",
-        summary=f"{carrier.text.removeprefix('log ').split()[0]} depends on {name}",
-        parameters=(Parameter(parameter, carrier.unit, stats.norm(scale=_PRIOR_WIDTH * clear), "coefficient"),),
-        null=(0.0,),
-        change=change,
-        carrier=carrier.carrier,
-        look=f"Residuals depend on {name}.",
-        typical={"clear": (clear,)},
-        absorber=True,  # noise that depends on something takes up much of what any effect causes
+    name = f"{PREFIX}{FORMULA_CARRIERS[carrier].text}c*{feature.called}"
+    return formula_effect(
+        carrier, [feature.term], feature.constants, name=name, spread=[spread], features=[feature.values]
     )
 
 
-def _row_features(log: RobotLog, path: Float) -> dict[str, Float]:
+def _row_features(log: RobotLog, path: Float) -> list[_Feature]:
     rows = row_covariates(log, path)
     middle = {name: float(np.round(np.median(getattr(rows, name)), 2)) for name in ("time", "x", "y")}
-    return {
-        "speed": rows.speed,
-        "turn_rate": rows.turn,
-        "abs(turn_rate)": np.abs(rows.turn),
-        "cos(heading)": np.cos(rows.heading),
-        "sin(heading)": np.sin(rows.heading),
-        **{f"({name} - {value:g})": getattr(rows, name) - value for name, value in middle.items()},
-    }
+    return [
+        _Feature("speed", "speed", {}, rows.speed),
+        _Feature("turn_rate", "turn_rate", {}, rows.turn),
+        _Feature("abs(turn_rate)", "abs(turn_rate)", {}, np.abs(rows.turn)),
+        _Feature("cos(heading)", "cos(heading)", {}, np.cos(rows.heading)),
+        _Feature("sin(heading)", "sin(heading)", {}, np.sin(rows.heading)),
+        *(
+            _Feature(f"({name} - {value:g})", f"{name} - middle", {"middle": value}, getattr(rows, name) - value)
+            for name, value in middle.items()
+        ),
+    ]
 
 
-def _cell_features(path: Float) -> dict[str, Float]:
+def _cell_features(path: Float) -> list[_Feature]:
     low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
     side = max(float((high - low).max()), 1e-6) / _CELLS
     index = np.minimum(((path[:, :2] - low) / side).astype(int), _CELLS - 1)
-    found = {}
+    found = []
     for i, j in np.unique(index, axis=0):
         inside = (index == (i, j)).all(axis=1)
         if _VISITED < inside.mean() < 0.7:
             (x0, y0), (x1, y1) = low + side * np.array([i, j]), low + side * np.array([i + 1, j + 1])
+            called = f"[x in {x0:.2f}..{x1:.2f}, y in {y0:.2f}..{y1:.2f}]"
             # A step belongs to the place where it begins.
-            found[f"[x in {x0:.2f}..{x1:.2f}, y in {y0:.2f}..{y1:.2f}]"] = np.roll(inside, 1).astype(float)
+            term = "inside(x_before, x_low, x_high)*inside(y_before, y_low, y_high)"
+            # The farthest point visited belongs to the last cell, whose end is that point.
+            x1, y1 = (np.nextafter(max(x1, high[0]), np.inf) if i == _CELLS - 1 else x1,
+                      np.nextafter(max(y1, high[1]), np.inf) if j == _CELLS - 1 else y1)  # fmt: skip
+            bounds = {"x_low": x0, "x_high": x1, "y_low": y0, "y_high": y1}
+            constants = {name: float(value) for name, value in bounds.items()}
+            found.append(_Feature(called, term, constants, np.roll(inside, 1).astype(float)))
     return found
 
 
-def _beams(change: Callable[[RichRangeBeams, Float], RichRangeBeams]) -> Callable[[Tables, Float], Tables]:
-    def edit(tables: Tables, values: Float) -> Tables:
-        beams = RangeBeams | RichRangeBeams
-        changed = (change(rich_beams(s), values) if isinstance(s, beams) else s for s in tables.sensors)
-        return tables._replace(sensors=tuple(changed))
-
-    return edit
-
-
-def _longer(beams: RichRangeBeams, change: Float) -> RichRangeBeams:
-    return beams._replace(bias_at=beams.bias_at + change)
-
-
-def _noisier(beams: RichRangeBeams, change: Float) -> RichRangeBeams:
-    return beams._replace(std_factor=beams.std_factor * np.exp(np.clip(change, -5.0, 5.0)))
-
-
-_RANGE = _Carrier("range += ", "m", 0.04, _beams(_longer), "range")
-_RANGE_NOISE = _Carrier("log sigma_range += ", "1", 0.5, _beams(_noisier), "range")
-
-
-def _beam_features(sensor: Any, path: Float, rows: dict[str, Float]) -> dict[str, Float]:
+def _beam_features(sensor: Any, path: Float, rows: Sequence[_Feature]) -> list[_Feature]:
     """Return features of each beam at each row, (T, B)."""
-    distance = np.minimum(beam_lengths(sensor, path), sensor.max_range)
-    direction = path[:, 2, None] + sensor.beam_pose[:, 2]
-    of_rows = {name: np.repeat(column[:, None], distance.shape[1], axis=1) for name, column in rows.items()}
-    return {
-        "distance^2": distance**2,
-        "tan(incidence)": np.tan(np.minimum(incidence(sensor, path), 1.3)),
-        "cos(world_direction)": np.cos(direction),
-        "sin(world_direction)": np.sin(direction),
-        **{name: column for name, column in of_rows.items() if name.startswith(("(", "speed"))},
-    }
+    along = along_beams(sensor, path)
+    distance, direction = along["distance"], along["world_direction"]
+    leaning = np.tan(np.minimum(along["incidence"], _STEEPEST))
+    every_beam = (1, distance.shape[1])
+    return [
+        _Feature("distance^2", "distance**2", {}, distance**2),
+        _Feature("tan(incidence)", "tan(min(incidence, steepest))", {"steepest": _STEEPEST}, leaning),
+        _Feature("cos(world_direction)", "cos(world_direction)", {}, np.cos(direction)),
+        _Feature("sin(world_direction)", "sin(world_direction)", {}, np.sin(direction)),
+        *(
+            feature._replace(values=np.tile(feature.values[:, None], every_beam))
+            for feature in rows
+            if feature.called.startswith(("(", "speed"))
+        ),
+    ]

@@ -17,7 +17,9 @@ Float = NDArray[np.float64]
 _BINS = 8
 
 
-def locate(alarm: Alarm, found: Evidence, labels: tuple[str, ...], scores: Float) -> Unexplained:
+def locate(
+    alarm: Alarm, found: Evidence, labels: tuple[str, ...], scores: Float, p_value: float | None = None
+) -> Unexplained:
     """Return where an alarm comes from.
 
     Parameters
@@ -30,6 +32,8 @@ def locate(alarm: Alarm, found: Evidence, labels: tuple[str, ...], scores: Float
         Names of scores, as features of the family "score" or "fluctuation" are called;
     scores : ndarray, shape (L, T)
         and their rows.
+    p_value : float, optional
+        Of the alarm, all families considered; that of its own family when left out.
     """
     feature = alarm.worst
     name = feature.covariate.strip("|").removeprefix("cos ").removeprefix("sin ")
@@ -54,8 +58,9 @@ def locate(alarm: Alarm, found: Evidence, labels: tuple[str, ...], scores: Float
         column = np.abs(column)
     interval = _worst_interval(column, residual) if column is not None else (float("nan"), float("nan"))
     when = _worst_interval(time.astype(float), residual)
+    p_value = alarm.p_value if p_value is None else p_value
     return Unexplained(
-        channel, beams, feature.covariate, feature.moment, interval, (int(when[0]), int(when[1])), alarm.p_value
+        channel, beams, feature.covariate, feature.moment, interval, (int(when[0]), int(when[1])), p_value
     )
 
 
@@ -70,11 +75,15 @@ def _worst_channels(channel: NDArray[np.int64], residual: Float, given: int) -> 
 
 
 def _worst_interval(column: Float, residual: Float) -> tuple[float, float]:
-    """Return the one of eight quantile intervals in which the residual deviates most."""
+    """Return the one of eight quantile intervals in which the residual deviates most.
+
+    An interval holds at least two values. Fewer than sixteen values therefore give fewer intervals, and fewer than four
+    give one that spans them all. Without any finite value of the column there is no interval: both ends are NaN.
+    """
     known = np.isfinite(column)
-    if np.count_nonzero(known) < 2 * _BINS:
-        return float("nan"), float("nan")
     column, residual = column[known], residual[known]
-    parts = np.array_split(np.argsort(column, kind="stable"), _BINS)
+    if column.size == 0:
+        return float("nan"), float("nan")
+    parts = np.array_split(np.argsort(column, kind="stable"), min(_BINS, max(1, column.size // 2)))
     worst = max(parts, key=lambda part: abs(float(residual[part].sum())))
     return float(column[worst[0]]), float(column[worst[-1]])

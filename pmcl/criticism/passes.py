@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pmcl.criticism.alarms import Judgement, judge
 from pmcl.criticism.evidence import Evidence, gather, rescored
 from pmcl.criticism.fit import Fit
+from pmcl.criticism.progress import Progress
 from pmcl.criticism.replicate import replicated_log
 from pmcl.criticism.scores import Direction, directions, fits
 from pmcl.errors import FilterError, PmclError
@@ -23,7 +24,7 @@ from pmcl.models.effects.effect import Effect
 
 __all__ = [
     "FINER", "Judged", "Settings", "candidate_directions", "criticised", "in_doubt", "judged_again", "key_of",
-    "looked_again", "mapped", "split_again",
+    "looked_again", "split_again",
 ]  # fmt: skip
 
 FINER = 4
@@ -38,7 +39,7 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a run, as :func:`pmcl.criticism.workflow.criticize` takes them."""
+    """Settings of a run, as :func:`pmcl.criticism.workflow.criticize` takes them; `reporter` tells how it goes."""
 
     particles: int
     seed: int
@@ -48,6 +49,7 @@ class Settings:
     workers: int
     progress: bool
     finer: int = FINER
+    reporter: Progress = field(default_factory=Progress, compare=False, repr=False)
 
     @property
     def comparing(self) -> int:
@@ -56,8 +58,29 @@ class Settings:
 
     def tell(self, message: str) -> None:
         """Log a step of the run, if that was asked for."""
-        if self.progress:
-            _logger.info("%s", message)
+        self.reporter.tell(message)
+
+    def mapped(self, function: Callable[[int], Any], what: str, names: Sequence[str]) -> list[Any]:
+        """Return the function's values at 0, 1, ..., one for each of `names`, made by threads.
+
+        Kernels do not hold the interpreter's lock. What has not begun when something fails, or when somebody
+        interrupts the run, is left out. `what` is done with `names` tells people how far the work has come.
+        """
+        with self.reporter.watched(what, names) as watch:
+
+            def one(k: int) -> Any:
+                watch.begin(k)
+                value = function(k)
+                watch.end()
+                return value
+
+            if self.workers == 1 or len(names) < 2:
+                return [one(k) for k in range(len(names))]
+            pool = ThreadPoolExecutor(self.workers)
+            try:
+                return list(pool.map(one, range(len(names))))
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
 class Judged(NamedTuple):
@@ -152,14 +175,14 @@ def _simulated(
                 "start belief"
             ) from None
 
-    return mapped(one, len(numbers), settings.workers)
+    return settings.mapped(one, "simulating logs", [""] * len(numbers))
 
 
 def judged_again(before: Judged, wanted: Sequence[Direction], split: int, settings: Settings) -> Judged:
     """Return the same of other candidates, scored along the trajectories that are there already."""
     settings.tell(f"scoring {len(wanted)} further directions")
     logs = [before.evidence, *before.null]
-    found, *null = mapped(lambda k: rescored(logs[k], wanted), len(logs), settings.workers)
+    found, *null = settings.mapped(lambda k: rescored(logs[k], wanted), "scoring logs", [""] * len(logs))
     return _judged(found, null, wanted, split, settings)
 
 
@@ -191,11 +214,3 @@ def candidate_directions(log: RobotLog, fit: Fit, offered: Sequence[Effect]) -> 
 def key_of(effect: Effect) -> tuple[str, tuple[Any, ...]]:
     """Return what tells one instance of an effect from others."""
     return effect.name, tuple((name, tuple(values)) for name, values in effect.where.items())
-
-
-def mapped(function: Callable[[int], Any], count: int, workers: int) -> list[Any]:
-    """Return the function's values at 0 ... count - 1, made by threads: kernels do not hold the lock."""
-    if workers == 1 or count < 2:
-        return [function(k) for k in range(count)]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(function, range(count)))

@@ -99,7 +99,8 @@ class Unexplained:
     time : tuple of int
         First and last row where it is worst.
     p_value : float
-        All families considered.
+        Probability of such an alarm when the model is right, all families of alarms considered (Holm 1979). It can be
+        compared with the rate of false alarms as it is; those of single families are in :attr:`Step.alarms`.
     """
 
     channel: str

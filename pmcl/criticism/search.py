@@ -38,7 +38,6 @@ from pmcl.criticism.passes import (
     judged_again,
     key_of,
     looked_again,
-    mapped,
     split_again,
 )
 from pmcl.criticism.result import FoundEffect, Pass
@@ -348,7 +347,8 @@ class Search:
             seed, particles = self.settings.seed + 100, self.settings.comparing
             return scored_anew(doubted[k], same, self.log, self.split, seed=seed, particles=particles)
 
-        scored = _replaced(trials, doubted, mapped(one, len(doubted), self.settings.workers))
+        finer = self.settings.mapped(one, "scoring with more particles", _names_of(doubted))
+        scored = _replaced(trials, doubted, finer)
         best, _ = choose(scored)
         if best is not None and worth_it(best, critical_z):
             return same, scored
@@ -392,10 +392,13 @@ class Search:
             return refitted(glance, current, self.log, self.split, seed=seed, particles=particles, effort=BRIEF)
 
         alone = len(fresh) + len(rivals) < 2
-        glances: list[Trial | None] = [None] if alone else mapped(at_a_glance, len(fresh), self.settings.workers)
+        names = [called(effect) for effect, _ in fresh]
+        glances: list[Trial | None] = [None]
+        if not alone:
+            glances = self.settings.mapped(at_a_glance, "a glance at candidates", names)
         seen = [glance for glance in glances if glance is not None]
         able = contenders_when_lost(seen, current) if lost else contenders(seen, rivals)
-        made = [trial for trial in mapped(in_earnest, len(fresh), self.settings.workers) if trial is not None]
+        made = [one for one in self.settings.mapped(in_earnest, "refitting candidates", names) if one is not None]
         self._remember(made, particles)
         return known + made
 
@@ -415,9 +418,13 @@ class Search:
         def one(k: int) -> Trial:
             return refitted(first[k], current, self.log, self.split, seed=seed, particles=particles, effort=THOROUGH)
 
-        settled = mapped(one, len(first), self.settings.workers)
+        settled = self.settings.mapped(one, "refitting the leading candidates at length", _names_of(first))
         self._remember(settled, particles)
         return _replaced(trials, first, settled)
+
+
+def _names_of(trials: Sequence[Trial]) -> list[str]:
+    return ["" if trial.effect is None else called(trial.effect) for trial in trials]
 
 
 def _replaced(trials: list[Trial], old: list[Trial], new: list[Trial]) -> list[Trial]:

@@ -18,7 +18,7 @@ from scipy import optimize
 from pmcl.criticism.alarms import judge
 from pmcl.criticism.evidence import Evidence
 from pmcl.criticism.formulas import Steady, steady_changes, wave
-from pmcl.criticism.passes import Judged, Settings, mapped
+from pmcl.criticism.passes import Judged, Settings
 from pmcl.criticism.scores import directions, effect_rows
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -84,7 +84,7 @@ def remarkable_waves(
         bound, theta, columns, _ = logs[k].source
         return effect_rows(bound.tables(theta)[0], bound.logs[0], columns, wanted)[:, :split]
 
-    rows = mapped(rows_of, len(logs), settings.workers)
+    rows = settings.mapped(rows_of, "looking for waves in logs", [""] * len(logs))
     found, *null = [_of_waves(one, scores @ profiles.T, split) for one, scores in zip(logs, rows, strict=True)]
     judgement = judge(found, null, [one for one in wanted for _ in profiles], level=settings.level)
     z = np.abs(judgement.z).reshape(len(changes), frequencies.size, _PHASES)

@@ -165,6 +165,17 @@ class LogArrays:
         text = self.dataset.attrs.get("true_theta")
         return None if text is None else {name: float(value) for name, value in json.loads(text).items()}
 
+    def estimated(self, name: str) -> Float | None:
+        """Return what somebody estimated from the log, or None: no reading, but what readings tell together.
+
+        Parameters
+        ----------
+        name : str
+            ``path``: (T, 3) poses [m, m, rad], headings not wrapped. For range beams ``world_direction`` [rad],
+            ``distance`` [m] and ``incidence`` [rad], (T, B) each.
+        """
+        return self._optional(f"estimated_{name}")
+
     def fingerprint(self) -> str:
         """SHA-256 of all numbers that calibration sees, in hexadecimal.
 

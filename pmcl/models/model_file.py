@@ -15,6 +15,7 @@ import numpy as np
 from pmcl.errors import ModelError, did_you_mean
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
+from pmcl.models.effects.formula import FORMULA_CARRIERS, PREFIX, Formula, formula_effect
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_text import MOTIONS, model_text
 from pmcl.models.parts import Part
@@ -197,6 +198,9 @@ def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
         if not isinstance(one.get("name"), str):
             _fail(where, "effects", f"expected the name of an effect, but got {one!r}; write for example "
                   'name = "range-bias"')  # fmt: skip
+        if one["name"].startswith(PREFIX.strip(": ")):
+            made.append(_formula(where, one, log))
+            continue
         place = {key: value for key, value in one.items() if key != "name"}
         for key, value in place.items():
             if not isinstance(value, list) or not value:
@@ -208,6 +212,41 @@ def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
         except ModelError as error:
             _fail(where, "effects", str(error))
     return tuple(made)
+
+
+def _formula(where: str, given: Mapping[str, Any], log: RobotLog) -> Effect:
+    """Read a formula; a name of ``formula`` alone is completed by the formula itself."""
+    _known_keys(where, "effects", given, ("name", "carrier", "terms", "coefficients", "constants", "window"))
+    carrier = _choice(where, "effects.carrier", given.get("carrier"), FORMULA_CARRIERS)
+    terms = _texts(where, "effects.terms", given.get("terms"), "cos(heading)")
+    coefficients = given.get("coefficients")
+    if coefficients is not None:
+        coefficients = _texts(where, "effects.coefficients", coefficients, "formula_turn")
+    constants = {
+        name: _number(where, f"effects.constants.{name}", value)
+        for name, value in _table(where, "constants", given).items()
+    }
+    window = given.get("window")
+    if window is not None and (not isinstance(window, list) or len(window) != 2):
+        _fail(where, "effects.window", f"expected [begin, end] in seconds, but got {window!r}; correct it")
+    name = given["name"] if given["name"].startswith(PREFIX) else None
+    try:
+        window = None if window is None else tuple(_number(where, "effects.window", time) for time in window)
+        change = Formula(carrier, terms, constants, window)
+        # How large a coefficient can be depends on how large its term is: where the log tells, it decides the prior.
+        values = [] if change.needs_path else change.values(log)
+        spread = [float(np.sqrt(np.mean(value[1:] ** 2))) or 1.0 for value in values] or None
+        return formula_effect(
+            carrier, terms, constants, window, name=name, coefficients=coefficients, spread=spread
+        )
+    except ModelError as error:
+        _fail(where, "effects", str(error))
+
+
+def _texts(where: str, key: str, value: Any, example: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+        _fail(where, key, f'expected a list of texts, but got {value!r}; write for example ["{example}"]')
+    return tuple(value)
 
 
 def _landmarks(where: str, key: str, settings: dict[str, Any], log: RobotLog) -> LandmarkNoise:

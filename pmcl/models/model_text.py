@@ -11,6 +11,8 @@ from tomlkit.items import Table
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.formula import FORMULA_CARRIERS, Formula
 from pmcl.models.effects.registry import known_effects
 from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
 from pmcl.models.parts import Part
@@ -126,20 +128,41 @@ def _sensor(part: Part) -> tuple[str, Table]:
 def _add_effects(document: tomlkit.TOMLDocument, model: RobotModel) -> None:
     if not model.effects:
         return
-    known = {effect.name: effect for effect in known_effects()}
     tables = tomlkit.aot()
     for effect in model.effects:
-        if effect.name not in known or known[effect.name].change is not effect.change:
-            raise ModelError(
-                f"expected effects that a model file can name ('pmcl effects' lists them), but got {effect.name}; keep "
-                "this model in Python, or give the effect's file with --effects"
-            )
-        table = tomlkit.table()
-        table["name"] = tomlkit.item(effect.name).comment(effect.summary)
-        for key, values in effect.where.items():
-            table[key] = list(values)
-        tables.append(table)
+        tables.append(_formula(effect) if isinstance(effect.change, Formula) else _known_effect(effect))
     document["effects"] = tables
+
+
+def _known_effect(effect: Effect) -> Table:
+    known = {candidate.name: candidate for candidate in known_effects()}
+    if effect.name not in known or known[effect.name].change is not effect.change:
+        raise ModelError(
+            "expected formulas and effects that a model file can name ('pmcl effects' lists them), but got "
+            f"{effect.name}; keep this model in Python, or give the effect's file with --effects"
+        )
+    table = tomlkit.table()
+    table["name"] = tomlkit.item(effect.name).comment(effect.summary)
+    for key, values in effect.where.items():
+        table[key] = list(values)
+    return table
+
+
+def _formula(effect: Effect) -> Table:
+    formula, table = effect.change, tomlkit.table()
+    assert isinstance(formula, Formula)
+    table["name"] = effect.name
+    table["carrier"] = tomlkit.item(formula.carrier).comment(f"{FORMULA_CARRIERS[formula.carrier].text}the sum of")
+    table["terms"] = tomlkit.item(list(formula.terms)).comment("each times its coefficient")
+    table["coefficients"] = tomlkit.item([parameter.name for parameter in effect.parameters]).comment("inferred")
+    if formula.constants:
+        constants = tomlkit.inline_table()
+        constants.update({name: float(value) for name, value in formula.constants.items()})
+        table["constants"] = constants.comment("of the terms; not inferred")
+    if formula.window is not None:
+        window = [float(time) for time in formula.window]
+        table["window"] = tomlkit.item(window).comment("[s], where the formula holds")
+    return table
 
 
 def _add_priors(document: tomlkit.TOMLDocument, model: RobotModel) -> None:

@@ -210,7 +210,9 @@ class Effect:
                 "correct where it is"
             )
         whole = all(value == int(value) for one in offered for values in one.values() for value in values)
-        if whole and not any(all(tuple(one[key]) == plain[key] for key in plain) for one in offered):
+        # A beam or landmark that this log has but never read is a place, too: a model may come from another log.
+        held = all(0 <= value < _count(log, key) for key, values in plain.items() for value in values)
+        if whole and not held and not any(all(tuple(one[key]) == plain[key] for key in plain) for one in offered):
             raise ModelError(
                 f"{log.where}: effect {self.name} expected one of the {len(offered)} places that the log has, but got "
                 f"{', '.join(f'{v:g}' for values in plain.values() for v in values)}; count from 0"
@@ -257,6 +259,15 @@ class Effect:
         for k in self.strengths if strength is None else (strength,):
             values[k] += way * (clear[k] - self.null[k])
         return values
+
+
+def _count(log: RobotLog, kind: str) -> int:
+    """Return how many beams, landmarks or walls a log has; 0 for another kind of place."""
+    if kind == "beams":
+        return 0 if log.beam_poses is None else len(log.beam_poses)
+    if kind == "landmarks":
+        return 0 if log.landmarks is None else len(log.landmarks.positions)
+    return len(log.walls.segments) if kind == "walls" and log.walls is not None else 0
 
 
 def named_apart(effects: Sequence[Effect]) -> tuple[Effect, ...]:

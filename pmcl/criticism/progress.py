@@ -1,0 +1,175 @@
+"""Signs of life of a long search: what is being tried, how many candidates are left, and the time so far.
+
+On a terminal one line at the bottom is kept up to date. Elsewhere, as in a log file of a build server, a plain line is
+written whenever a step begins, and from time to time while a step goes on.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+
+from tqdm import tqdm
+
+__all__ = ["Progress", "Watch"]
+
+_logger = logging.getLogger("pmcl.criticism")
+
+# Seconds between two updates of the line on a terminal, and between two plain lines elsewhere.
+_REFRESH, _PAUSE = 0.5, 15.0
+
+
+class Progress:
+    """What is told of a run while it goes on; a context, which ends what it shows.
+
+    Parameters
+    ----------
+    shown : bool
+        Whether anything is told.
+    interrupted : callable, optional
+        Asked before each piece of work; where it returns True the run ends with KeyboardInterrupt.
+    live : bool, optional
+        Whether to keep one line up to date; on a terminal when left out.
+    pause : float
+        Seconds without a line, where there is no terminal, after which one is written.
+    """
+
+    def __init__(
+        self,
+        shown: bool = False,
+        interrupted: Callable[[], bool] | None = None,
+        *,
+        live: bool | None = None,
+        pause: float = _PAUSE,
+    ) -> None:
+        self.shown, self.pause = shown, pause
+        self.live = shown and (sys.stderr.isatty() if live is None else live)
+        self._interrupted = interrupted
+        self._began = self._told = time.monotonic()
+        self._stage, self._watch = "", None
+        self._line: Any = None
+        self._hidden = False
+        self._over = threading.Event()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    _watch: Watch | None
+
+    def __enter__(self) -> Progress:
+        if self.shown:
+            self._thread = threading.Thread(target=self._keep_telling, name="pmcl progress", daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._hide()
+
+    def tell(self, message: str) -> None:
+        """Say which step begins or what it came to."""
+        self.check()
+        self._stage = message
+        if self.shown:
+            self._log(message)
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt where somebody asked for an end."""
+        if self._interrupted is not None and self._interrupted():
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def watched(self, what: str, names: Sequence[str]) -> Iterator[Watch]:
+        """Count pieces of work.
+
+        Parameters
+        ----------
+        what : str
+            What is done with them, e.g. "refitting at a glance".
+        names : sequence of str
+            What each is called; empty names for pieces that are all alike.
+        """
+        outer, self._watch = self._watch, Watch(self, what, tuple(names))
+        try:
+            yield self._watch
+        finally:
+            self._watch = outer
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Leave the terminal to another progress bar for a while."""
+        self._hidden = True
+        self._hide()
+        try:
+            yield
+        finally:
+            self._hidden = False
+
+    def status(self) -> str:
+        """Return what goes on at this moment."""
+        watch = self._watch
+        return str(watch) if watch is not None else self._stage
+
+    def _keep_telling(self) -> None:
+        while not self._over.wait(_REFRESH if self.live else min(_REFRESH, self.pause)):
+            if self.live:
+                self._show()
+            elif time.monotonic() - self._told >= self.pause:
+                self._log(f"still {self.status()}")
+
+    def _elapsed(self) -> str:
+        minutes, seconds = divmod(int(time.monotonic() - self._began), 60)
+        return f"[{minutes:d}:{seconds:02d}]"
+
+    def _log(self, message: str) -> None:
+        self._told = time.monotonic()
+        _logger.info("%s %s", self._elapsed(), message)
+
+    def _show(self) -> None:
+        with self._lock:
+            if self._hidden or self._over.is_set():
+                return
+            if self._line is None:
+                self._line = tqdm(total=0, bar_format="{desc}", leave=False, file=sys.stderr, dynamic_ncols=True)
+            width = int(self._line.ncols or 80) - 1
+            self._line.set_description_str(f"{self._elapsed()} {self.status()}"[:width])
+
+    def _hide(self) -> None:
+        with self._lock:
+            if self._line is not None:
+                self._line.close()
+                self._line = None
+
+
+class Watch:
+    """Pieces of work that are counted; threads may share it."""
+
+    def __init__(self, progress: Progress, what: str, names: tuple[str, ...]) -> None:
+        self._progress, self._what, self._names = progress, what, names
+        self._done, self._now = 0, ""
+        self._lock = threading.Lock()
+
+    def begin(self, k: int) -> None:
+        """Say that piece k begins; raises KeyboardInterrupt where somebody asked for an end."""
+        self._progress.check()
+        self._now = self._names[k]
+
+    def end(self) -> None:
+        """Say that a piece is done."""
+        with self._lock:
+            self._done += 1
+
+    def __str__(self) -> str:
+        total = len(self._names)
+        now = f", now {self._now}" if self._now else ""
+        return f"{self._what}: {self._done} of {total} done, {total - self._done} left{now}"

@@ -1,0 +1,164 @@
+"""An estimate of the path of a log, for effects that depend on where the robot was and where it looked.
+
+Effects are edits of tables that are made before a filter runs. A formula of the heading or the place is therefore
+evaluated along an estimated path, which a first filter finds without the formulas that need it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import FilterError, ModelError
+from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
+from pmcl.filtering.predict import beam_lengths
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.formula import path_formulas
+from pmcl.models.robot_model import BoundModel, RobotModel
+from pmcl.models.tables import Tables
+
+__all__ = ["START_PARTICLES", "along_beams", "incidence", "plausible_theta", "with_estimated_path", "with_estimates"]
+
+Float = NDArray[np.float64]
+
+START_PARTICLES = 1000
+"""Particles of a filter that is run before anything is known about a log."""
+# Noise far too small for a log makes a filter lose the robot; these factors on the prior mean are tried in turn.
+_START_FACTORS = (1.0, 2.0, 4.0, 0.5)
+# Paths drawn backward, whose mean is the estimate.
+_PATHS = 20
+
+
+def plausible_theta(bound: BoundModel, rng: np.random.Generator) -> Float:
+    """Return a multiple of the prior mean (d,) under which the filter foresees the log best.
+
+    Raises
+    ------
+    FilterError
+        When the filter loses the robot with each of them.
+    """
+    best, found = -math.inf, None
+    for factor in _START_FACTORS:
+        theta = bound.prior_mean()
+        scale = np.array([name.startswith("sigma_") for name in bound.names], dtype=bool)
+        theta = np.where(scale, factor * theta, theta)
+        try:
+            value = run_filter(bound.tables(theta)[0], bound.lengths[0], START_PARTICLES, rng).log_evidence
+        except (FilterError, ModelError):
+            continue
+        if value > best:
+            best, found = value, theta
+    if found is None:
+        raise FilterError(
+            f"{bound.logs[0].where}: the filter loses the robot at once, whatever the noise; "
+            "restart with a wider start belief or more particles"
+        )
+    return found
+
+
+def with_estimated_path(
+    log: RobotLog,
+    model: RobotModel,
+    theta: Mapping[str, float] | None = None,
+    *,
+    ahead: bool = False,
+    seed: int = 0,
+) -> RobotLog:
+    """Return a log with an estimate of its path, where the model has formulas that need one.
+
+    Parameters
+    ----------
+    log : RobotLog
+        One that holds an estimate already comes back as it is.
+    model : RobotModel
+        The formulas that need a path are left out of it for the estimate.
+    theta : mapping of str to float, optional
+        Values of its parameters; those that are missing are chosen so that the filter foresees the log well.
+    ahead : bool
+        Whether each pose may depend on earlier rows only, as a localization that is judged by what it foresees must;
+        else on all rows.
+    seed : int
+        All randomness follows from it.
+
+    Returns
+    -------
+    RobotLog
+        The log itself where no formula needs a path. Cost: one to five filters of 1000 particles.
+
+    Raises
+    ------
+    ModelError, FilterError
+        When model and log do not fit each other, or the filter loses the robot.
+    """
+    needing = path_formulas(model.named_effects)
+    if not needing or log.estimated("path") is not None:
+        return log
+    # A coefficient of zero needs no path.
+    zero = {parameter.name: 0.0 for effect in needing for parameter in effect.parameters}
+    priors = {name: prior for name, prior in model.priors.items() if name not in zero}
+    bound = replace(model, fixed={**model.fixed, **zero}, priors=priors).bind(log)
+    rng = make_rng(np.random.SeedSequence((seed, 23)))
+    known = theta or {}
+    missing = [name for name in bound.names if name not in known]
+    chosen = dict(zip(bound.names, plausible_theta(bound, rng), strict=True)) if missing else {}
+    tables = bound.tables(np.array([float(known.get(name, chosen.get(name, 0.0))) for name in bound.names]))[0]
+    filtered = run_filter(tables, log.n_steps, START_PARTICLES, rng)
+    if ahead:
+        # Resampled at every row, particles have equal weights before the readings of a row are taken in.
+        path = filtered.particles[:, :3].mean(axis=2)
+    else:
+        path = draw_paths(tables, filtered, _PATHS, rng)[:, :, :3].mean(axis=0)
+    return with_estimates(log, tables, path)
+
+
+def with_estimates(log: RobotLog, tables: Tables, path: Float) -> RobotLog:
+    """Return a log that holds a path, and what its range beams met along it, for formulas to read.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log; its readings stay as they are.
+    tables : Tables
+        Coefficients of a model for it: mounts and walls.
+    path : ndarray, shape (T, >= 3)
+        The path, headings not wrapped [m, m, rad].
+    """
+    found: dict[str, Any] = {"estimated_path": (("time", "pose"), np.array(path[:, :3]))}
+    for table in tables.sensors:
+        if hasattr(table, "beam_pose") and "beam" in log.dataset.dims:
+            along = along_beams(table, path)
+            found |= {f"estimated_{name}": (("time", "beam"), values) for name, values in along.items()}
+            break
+    return RobotLog.trusted(log.dataset.assign(found), log.where)
+
+
+def along_beams(table: Any, path: Float) -> dict[str, Float]:
+    """Return what the terms of formulas may know of each beam at each row, (T, B), along a path (T, >= 3).
+
+    ``distance`` [m], ``incidence`` and ``world_direction`` [rad], see :data:`pmcl.models.effects.terms.OF_BEAMS`.
+    """
+    return {
+        "distance": np.minimum(beam_lengths(table, path), table.max_range),
+        "incidence": incidence(table, path),
+        "world_direction": path[:, 2, None] + table.beam_pose[:, 2],
+    }
+
+
+def incidence(table: Any, path: Float) -> Float:
+    """Return the angle between each beam and the normal of the wall it meets [rad], (T, B), 0 to pi / 2.
+
+    A beam turned by a small angle grows by its length times the tangent of the incidence, whichever wall it meets.
+    """
+    small = 1e-4
+    turned = [
+        beam_lengths(table._replace(beam_pose=table.beam_pose + np.array([0.0, 0.0, sign * small])), path)
+        for sign in (1.0, -1.0)
+    ]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = np.abs(turned[0] - turned[1]) / (small * (turned[0] + turned[1]))
+    return np.where(np.isfinite(slope), np.arctan(slope), 0.0)
