@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
 import click
 
 from pmcl import defaults
-from pmcl.cli.options import effects_option, output_option, progress_option, seed_option, wants_progress, writable_file
+from pmcl.cli.options import effects_option, output_option, progress_option, protect_inputs, seed_option, writable_file
 
 __all__ = ["criticize"]
 
@@ -23,6 +24,22 @@ __all__ = ["criticize"]
     metavar="FILE.json",
     callback=writable_file,
     help="Write the result for other programs, too.",
+)
+@click.option(
+    "--save-model",
+    "better_model",
+    type=click.Path(path_type=Path),
+    metavar="BETTER.toml",
+    callback=writable_file,
+    help="Write the model with what was found, for calibrate --model and for a further criticize --model.",
+)
+@click.option(
+    "--posterior",
+    "better_posterior",
+    type=click.Path(path_type=Path),
+    metavar="BETTER.nc",
+    callback=writable_file,
+    help="Write the posterior of that model, for localize and report.",
 )
 @click.option(
     "--model",
@@ -42,24 +59,88 @@ __all__ = ["criticize"]
 @click.option("--joint/--no-joint", default=True, show_default=True,
     help="Calibrate the final model with full chains, or with one longer chain (faster).",)
 @seed_option()
-@progress_option()
+@progress_option("Do not tell on stderr what is being tried, how many candidates are left, and the time so far.")
+@click.pass_context
 def criticize(
-    log: str, output: Path, json_file: Path | None, model_file: str | None, no_progress: bool, **settings: Any
+    ctx: click.Context,
+    /,
+    log: str,
+    output: Path,
+    json_file: Path | None,
+    better_model: Path | None,
+    better_posterior: Path | None,
+    model_file: str | None,
+    no_progress: bool,
+    joint: bool,
+    **settings: Any,
 ) -> None:
     """Find where model and log disagree, name the missing effect, add it, and show the gap shrink."""
+    outputs = [file for file in (output, json_file, better_model, better_posterior) if file is not None]
+    for file in outputs:
+        protect_inputs(ctx, file, (log, *([model_file] if model_file else [])))
+    if len({file.resolve() for file in outputs}) < len(outputs):
+        raise click.UsageError("expected different files for the outputs, but two have the same name: rename one", ctx)
+    if better_posterior is not None and not joint:
+        raise click.UsageError(
+            "--posterior is the result of the full chains that --no-joint leaves out: give one of the two", ctx
+        )
+    from pmcl.cli.report import tell
     from pmcl.criticism.workflow import criticize as run
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.model_file import read_model
     from pmcl.reports.criticism_report import write_criticism_report
 
-    for file in (output, json_file):
-        if file is not None and file.resolve() == Path(log).resolve():
-            raise click.UsageError(f"expected an output other than the input, but both are {log}: name another file")
     read = RobotLog.read(log)
     model = read_model(model_file, read) if model_file is not None else None
-    found = run(read, model, progress=wants_progress(no_progress), **settings)
-    write_criticism_report(found, output)
+    found = run(
+        read, model, joint=joint, posterior=better_posterior is not None, progress=not no_progress, **settings
+    )
+    commands = _next_commands(log, output, better_model, better_posterior)
+    write_criticism_report(found, output, commands)
     if json_file is not None:
         found.write(json_file)
+    status = 0
+    if better_posterior is not None:
+        found.write_posterior(better_posterior)
+        status = tell(found.posterior)
+    if better_model is not None:
+        found.write_model(better_model)
     click.echo(f"{found.verdict}: {found.sentence}.")
-    click.echo(f"report: {output}")
+    for name, written in (("report", output), ("model", better_model), ("posterior", better_posterior)):
+        if written is not None:
+            click.echo(f"{name}: {written}")
+    if found.effects:
+        click.echo("next:")
+        for purpose, command in commands:
+            click.echo(f"  {command}   # {purpose}")
+    ctx.exit(status)
+
+
+def _next_commands(
+    log: str, page: Path, model: Path | None, posterior: Path | None
+) -> list[tuple[str, str]]:
+    """Return what to do with the files that were written, or how to get them: purposes and commands."""
+
+    def command(*words: str | Path) -> str:
+        return shlex.join(["pmcl", *(str(word) for word in words)])
+
+    made = []
+    if posterior is not None:
+        made.append((
+            "follow the robot on another drive with what was found",
+            command("localize", "OTHER.nc", "--posterior", posterior, "-o", "track.nc"),
+        ))
+        made.append(("look at the posterior", command("report", posterior, "-o", "posterior.html")))
+    if model is not None:
+        made.append((
+            "calibrate the better model on another drive",
+            command("calibrate", "OTHER.nc", "--model", model, "-o", "other_posterior.nc"),
+        ))
+        made.append((
+            "look for what that drive shows besides",
+            command("criticize", "OTHER.nc", "--model", model, "-o", "other.html"),
+        ))
+    if not made:
+        files = ("--save-model", "better.toml", "--posterior", "better.nc")
+        made.append(("keep model and posterior as files", command("criticize", log, "-o", page, *files)))
+    return made

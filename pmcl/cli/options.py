@@ -112,9 +112,11 @@ def seed_option(default: int = 0) -> Callable[[Command], Command]:
     return click.option("--seed", type=kind, default=default, show_default=True, help=told)
 
 
-def progress_option() -> Callable[[Command], Command]:
-    """Return the option ``--no-progress``."""
-    return click.option("--no-progress", is_flag=True, help="No progress bars (there are none either off a terminal).")
+def progress_option(
+    what: str = "No progress bars (there are none either off a terminal).",
+) -> Callable[[Command], Command]:
+    """Return the option ``--no-progress``; `what` says what it leaves out."""
+    return click.option("--no-progress", is_flag=True, help=what)
 
 
 def wants_progress(no_progress: bool) -> bool:

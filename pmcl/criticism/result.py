@@ -13,9 +13,11 @@ from pmcl.criticism.alarms import Alarm, Judgement
 from pmcl.criticism.evidence import Evidence
 from pmcl.criticism.fit import Fit
 from pmcl.criticism.heldout import Gap
+from pmcl.errors import PosteriorError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.model_text import model_text
 from pmcl.models.robot_model import RobotModel
-from pmcl.posterior.files import replacing
+from pmcl.posterior.files import replacing, write_posterior
 
 __all__ = ["FORMAT", "Candidate", "Criticism", "Estimate", "FoundEffect", "Pass", "Step", "Unexplained"]
 
@@ -182,17 +184,19 @@ class Criticism:
     steps : tuple of Step
         From the base model to the final one.
     base, model : RobotModel
-        The model before, and the final one: an ordinary model, with the effects in it.
+        The model before, and the final one: an ordinary model with the effects in it, for this and other logs of the
+        robot.
     before, after : mapping of str to Estimate
         Parameters of both.
     log : RobotLog
-        The log.
+        The log; with an estimate of its path where the final model has formulas that need one.
     split : int
         First row of the held-out part.
     first, last : Pass
         The first and the last model's pass.
     posterior : ArviZ posterior or None
-        The joint calibration of the final model, when there was one.
+        The joint calibration of the final model, when there was one; it holds that model, so that
+        :func:`pmcl.localization.offline.localize` and :func:`pmcl.localization.model_choice.model_for` need no more.
     notes : tuple of str
         What limits the result.
     settings : mapping
@@ -233,6 +237,35 @@ class Criticism:
     def to_json(self) -> str:
         """Return the JSON text; numbers that are not finite become null."""
         return json.dumps(_finite(self.to_dict()), indent=1, allow_nan=False)
+
+    def write_model(self, path: str | os.PathLike[str]) -> None:
+        """Write the final model as a model file, all or nothing.
+
+        Raises
+        ------
+        ModelError
+            When the model has a part or an effect of its user's own, which a file cannot hold.
+        PosteriorError
+            When the file cannot be written.
+        """
+        text = model_text(self.model, self.log)
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+    def write_posterior(self, path: str | os.PathLike[str]) -> None:
+        """Write the posterior of the final model, all or nothing.
+
+        Raises
+        ------
+        PosteriorError
+            When there is none, or the file cannot be written.
+        """
+        if self.posterior is None:
+            raise PosteriorError(
+                "expected a posterior of the final model, but no full chains were run; criticize with joint=True and "
+                "posterior=True"
+            )
+        write_posterior(self.posterior, path)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file, all or nothing; raises PosteriorError when it cannot be written."""

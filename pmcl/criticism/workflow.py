@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -25,19 +25,23 @@ from pmcl.criticism.guard import particles_that_follow
 from pmcl.criticism.heldout import gap_of
 from pmcl.criticism.naming import twins_of
 from pmcl.criticism.passes import FINER, Settings, in_doubt
+from pmcl.criticism.progress import Progress
 from pmcl.criticism.result import Criticism, FoundEffect, Pass, Step
 from pmcl.criticism.search import FIT_SHARE, LATER, Outcome, Search
 from pmcl.criticism.trials import Trial, spare_effects
 from pmcl.criticism.verdict import called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
+from pmcl.filtering.estimated_path import with_estimated_path, with_estimates
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.posterior.calibrate import calibrate
+from pmcl.posterior.compat import Posterior
 from pmcl.preflight.check import checked_logs
 
 __all__ = ["criticize"]
@@ -63,8 +67,10 @@ def criticize(
     rounds: int = 3,
     joint: bool = True,
     draws: int = 500,
+    posterior: bool = False,
     workers: int | None = None,
     progress: bool = False,
+    interrupted: Callable[[], bool] | None = None,
 ) -> Criticism:
     """Find where a model and a log disagree, name the missing effect, add it, and show the gap shrink.
 
@@ -92,10 +98,16 @@ def criticize(
         Whether the final model is calibrated by full chains; otherwise one longer chain tells its parameters.
     draws : int
         Draws of each of the four final chains.
+    posterior : bool
+        Whether full chains are run even where nothing is added to the model, so that the result always has a
+        posterior.
     workers : int, optional
         Threads; one for each core when left out. The result does not depend on it.
     progress : bool
-        Log each step as it is made.
+        Tell what is being tried, how many candidates are left, and the time so far: in one line that is kept up to
+        date on a terminal, elsewhere in messages of the logger ``pmcl.criticism``.
+    interrupted : callable, optional
+        Asked between pieces of work of some seconds; where it returns True, the run ends with KeyboardInterrupt.
 
     Returns
     -------
@@ -104,7 +116,7 @@ def criticize(
     Raises
     ------
     CriticismError
-        When the log is too short to split, or nothing in it moves.
+        When the log is too short to split, nothing in it moves, or a posterior is asked for without full chains.
     FilterError
         When the filter loses the robot: local scores would then mean nothing.
     PmclError
@@ -120,12 +132,20 @@ def criticize(
     formulas as well. Where the filter of the base model loses the robot, effects of the motion are refitted first,
     then of the sensors: one that lets it follow is added.
     """
-    settings = Settings(particles, seed, level, simulations, paths, workers or os.cpu_count() or 1, progress)
     log = log.without_truth()
     _check(log, simulations, level, rounds)
     checked_logs((log,), model)
-    offered = candidates(log) if effects is None else effects
-    return _Loop(model or default_model(log), Search(log, offered, settings)).run(rounds, joint, draws)
+    if posterior and not joint:
+        raise CriticismError(
+            "expected full chains for a posterior, but joint calibration is switched off; switch it on, or ask for none"
+        )
+    base = model or default_model(log)
+    with Progress(progress, interrupted) as reporter:
+        threads = workers or os.cpu_count() or 1
+        settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
+        log = with_estimated_path(log, base, seed=seed)
+        offered = candidates(log) if effects is None else effects
+        return _Loop(base, Search(log, offered, settings)).run(rounds, joint, draws, always=posterior)
 
 
 def _check(log: RobotLog, simulations: int, level: float, rounds: int) -> None:
@@ -162,8 +182,8 @@ class _Loop:
         """Of the run; the number of particles may have grown."""
         return self.search.settings
 
-    def run(self, rounds: int, joint: bool, draws: int) -> Criticism:
-        """Go through the loop."""
+    def run(self, rounds: int, joint: bool, draws: int, always: bool) -> Criticism:
+        """Go through the loop; `always` calibrates by full chains also what nothing was added to."""
         self.settings.tell("fitting the base model")
         fit = quick_fit(self.base.bind(self.log), self.settings.seed)
         recovered: tuple[Trial, list[Trial]] | None = None
@@ -223,7 +243,7 @@ class _Loop:
             assert accepted.effect is not None
             current = self._added(last, accepted, trials, f"add {accepted.effect.name}", before=current)
             last = self._refitted(last, current, number)
-        return self._result(first, last, joint, draws)
+        return self._result(first, last, draws, chains=joint and (bool(self.found) or always))
 
     def _named(self, last: Pass, current: Trial, everywhere: bool = True) -> tuple[Outcome, Trial]:
         """Look for what explains a pass, in the catalogue and outside; return also what it is compared with.
@@ -295,7 +315,17 @@ class _Loop:
         listed = candidates_of(last.judgement, self.search.wanted, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
-    def _result(self, first: Pass, last: Pass, joint: bool, draws: int) -> Criticism:
+    def _calibrated(self, model: RobotModel, draws: int) -> Posterior:
+        """Run full chains of the final model."""
+        self.settings.tell("calibrating the final model by full chains")
+        reporter = self.settings.reporter
+        with reporter.paused():
+            return calibrate(
+                self.log, model, draws=draws, metropolis_steps=_ROUNDS_OF_METROPOLIS,
+                seed=self.settings.seed, progress=reporter.live,
+            )  # fmt: skip
+
+    def _result(self, first: Pass, last: Pass, draws: int, chains: bool) -> Criticism:
         # All of one held-out part, though it may have become a shorter one on the way.
         heldout = slice(self.search.split, None)
         self.steps = [
@@ -303,12 +333,8 @@ class _Loop:
         ]
         before, after, posterior = estimates(first.fit), estimates(last.fit), None
         model = last.fit.bound.model
-        if joint and self.found:
-            self.settings.tell("calibrating the final model")
-            posterior = calibrate(
-                self.log, model, draws=draws, metropolis_steps=_ROUNDS_OF_METROPOLIS,
-                seed=self.settings.seed, progress=self.settings.progress,
-            )  # fmt: skip
+        if chains:
+            posterior = self._calibrated(model, draws)
             after = drawn_estimates(last.fit, posterior)
         elif self.found:
             seed = self.settings.seed + 200
@@ -322,7 +348,10 @@ class _Loop:
         unexplained = unexplained_of(last, self.search.wanted)
         verdict = verdict_of(found, last.judgement)
         settings: dict[str, Any] = vars(self.settings) | {"split": self.search.split, "log": self.log.fingerprint()}
-        del settings["workers"]  # the result does not depend on it
+        del settings["workers"], settings["reporter"]  # the result does not depend on them
+        # What is handed over holds on other logs as well: formulas are evaluated anew on each.
+        model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
+        log = with_estimates(self.log, last.fit.tables, last.fit.path) if path_formulas(model.effects) else self.log
         return Criticism(
             verdict=verdict,
             sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log),
@@ -333,7 +362,7 @@ class _Loop:
             model=model,
             before=before,
             after=after,
-            log=self.log,
+            log=log,
             split=self.search.split,
             first=first,
             last=last,

@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.errors import ModelError
+from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.filtering.tracker import Tracker
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.parameters import choose_theta
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.formula import path_formulas
 from pmcl.models.rich_tables import WiderStart
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.models.start import StartBelief
 from pmcl.models.tables import GaussianStart, PoseStart
 from pmcl.posterior.compat import Posterior
+from pmcl.posterior.estimates import posterior_mean
 
 __all__ = ["Prepared", "anywhere", "prepare", "reading_counts"]
 
@@ -67,13 +70,28 @@ def prepare(
 ) -> Prepared:
     """Make the filter for one log; parameters and errors as for :func:`pmcl.localization.offline.localize`."""
     options = options or FilterOptions()
-    bound = (model or default_model(log)).bind(log)
+    model = model or default_model(log)
+    bound = model.bind(_with_path(log, model, posterior, theta))
     values, picks = choose_theta(bound, posterior, method, theta, options)
     tables = [bound.tables(value)[0] for value in values]
     start = tables[0].start
     elsewhere = anywhere(log, start) if options.recover else None
     tracker = Tracker(tables, elsewhere, options.for_kernel(particles, len(values), picks, start))
     return Prepared(bound, values, tracker, reading_counts(log), options)
+
+
+def _with_path(
+    log: RobotLog, model: RobotModel, posterior: Posterior | None, theta: Mapping[str, float] | None
+) -> RobotLog:
+    """Return the log with the path that formulas of the model need, each pose foreseen from earlier rows."""
+    needing = path_formulas(model.effects)
+    if needing and not log.is_whole:
+        raise ModelError(
+            f"{log.where}: expected effects that need no path, as a robot is followed row by row, but got "
+            f"{needing[0].name}; localize a whole log, or leave that effect out"
+        )
+    known = {} if posterior is None or not needing else posterior_mean(posterior)
+    return with_estimated_path(log, model, {**known, **(theta or {})}, ahead=True)
 
 
 def anywhere(log: RobotLog, start: Any) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 
 from pmcl import defaults
 from pmcl.errors import ModelError, SamplingError
+from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_text import model_text
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
@@ -109,7 +110,9 @@ def calibrate(
         require_rows(log)
     if model is None and logs:
         model = default_model(logs[0])
-    bound = (model or RobotModel()).bind(logs)
+    model = model or RobotModel()
+    logs = tuple(with_estimated_path(log, model, seed=seed) for log in logs)
+    bound = model.bind(logs)
     if bound.dimension == 0:
         raise SamplingError("expected at least one free parameter, but the model fixes all of them; free one")
     shared: dict[str, Any] = {

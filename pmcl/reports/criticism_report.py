@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 
 from pmcl.criticism.result import Candidate, Criticism, Estimate
@@ -15,7 +16,9 @@ from pmcl.reports.posterior_report import Picture
 __all__ = ["write_criticism_report"]
 
 
-def write_criticism_report(found: Criticism, path: str | os.PathLike[str]) -> None:
+def write_criticism_report(
+    found: Criticism, path: str | os.PathLike[str], commands: Sequence[tuple[str, str]] = ()
+) -> None:
     """Write one self-contained HTML file about a criticism.
 
     Parameters
@@ -24,6 +27,8 @@ def write_criticism_report(found: Criticism, path: str | os.PathLike[str]) -> No
         From :func:`pmcl.criticism.workflow.criticize`.
     path : path-like
         An older file of that name stays whole until the new one is complete.
+    commands : sequence of (str, str), optional
+        What to do next: purposes and the commands for them.
 
     Raises
     ------
@@ -39,6 +44,7 @@ def write_criticism_report(found: Criticism, path: str | os.PathLike[str]) -> No
         effects=found.effects,
         unexplained=[(one, channels_of(one, found.log)) for one in found.unexplained],
         notes=found.notes,
+        commands=commands if found.effects else (),
         number=_number,
         called=called,
         parameters=_parameters(found),

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
+from pathlib import Path
 
 import pytest
+from click import Context
 
+from pmcl.cli.commands import pmcl as application
+from pmcl.cli.criticize import _next_commands
 from pmcl.robots.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
@@ -48,4 +54,54 @@ def test_what_criticize_refuses(refused, biased, log_file, tmp_path):
     assert "no folder" in refused("criticize", biased, "-o", tmp_path / "nowhere" / "x.html")
     assert "'--particles'" in refused("criticize", biased, "-o", page, "--particles", "3")
     assert "'--level'" in refused("criticize", biased, "-o", page, "--level", "0.7")
+    better = tmp_path / "better.nc"
+    assert "--no-joint" in refused("criticize", biased, "-o", page, "--posterior", better, "--no-joint")
+    assert "two have the same name" in refused("criticize", biased, "-o", page, "--save-model", page)
+    assert "other than the input" in refused("criticize", biased, "-o", page, "--posterior", biased)
     assert not page.exists()
+    assert not better.exists()
+
+
+def test_the_next_commands_name_the_files_that_were_written():
+    told = _next_commands("my log.nc", Path("page.html"), Path("better.toml"), Path("a b.nc"))
+    assert [command for _, command in told] == [
+        "pmcl localize OTHER.nc --posterior 'a b.nc' -o track.nc",
+        "pmcl report 'a b.nc' -o posterior.html",
+        "pmcl calibrate OTHER.nc --model better.toml -o other_posterior.nc",
+        "pmcl criticize OTHER.nc --model better.toml -o other.html",
+    ]
+    ((_, command),) = _next_commands("my log.nc", Path("page.html"), None, None)
+    assert command == "pmcl criticize 'my log.nc' -o page.html --save-model better.toml --posterior better.nc"
+    # Each is a command line that the program understands.
+    for _, line in told:
+        name, *words = shlex.split(line)[1:]
+        application.get_command(Context(application), name).make_parser(Context(application)).parse_args(args=words)
+
+
+@pytest.mark.slow
+def test_what_criticize_found_is_used_by_other_commands(run, biased, tmp_path, monkeypatch):
+    """Criticize hands over model and posterior; localize, calibrate, report and criticize take them."""
+    monkeypatch.chdir(tmp_path)
+    result = run("criticize", biased, "-o", "page.html", "--save-model", "better.toml", "--posterior", "better.nc",
+                 "--seed", "2")  # fmt: skip
+    assert result.exit_code in (0, 3, 4), result.output
+    lines = result.stdout.splitlines()
+    commands = [line.partition("   # ")[0].strip() for line in lines[lines.index("next:") + 1 :]]
+    assert len(commands) == 4
+    page = Path("page.html").read_text()
+    assert all(command in page for command in commands)
+    # What is being tried is told although there is no terminal.
+    assert "fitting the base model" in result.stderr
+    assert "refitting" in result.stderr
+    simulate_amigobot(80.0, 9, NOISE, effects=("beam-bias@2=0.25",)).write("OTHER.nc")
+    for command in commands[:3]:
+        words = shlex.split(command)[1:]
+        extra = ["--draws", "20", "--chains", "2"] if words[0] == "calibrate" else []
+        assert run(*words, *extra).exit_code in (0, 3, 4), command
+    with_it, without = (
+        run("localize", "OTHER.nc", *what, "-o", "track.nc", "--particles", "300").stdout
+        for what in (("--posterior", "better.nc"), ("--method", "prior"))
+    )
+    error = [float(re.search(r"position error, RMSE +([0-9.]+)", text).group(1)) for text in (with_it, without)]
+    assert error[0] < error[1]
+    assert 'name = "beam-bias"' in Path("better.toml").read_text()

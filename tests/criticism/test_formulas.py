@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.criticism.formulas import filled_in, formulas
+from pmcl.criticism.formulas import filled_in, formulas, steady_changes, wave
 from pmcl.criticism.naming import contenders
 from pmcl.criticism.workflow import criticize
+from pmcl.filtering.estimated_path import with_estimates
 from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.formula import path_formulas
 from pmcl.models.effects.selection import effect_named
+from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.robots.amigobot import simulate_amigobot
@@ -86,6 +90,29 @@ def test_formulas_are_effects_of_an_ordinary_model(library):
     effects = list(library.values())[:3]
     bound = RobotModel(sensors=default_model(log).sensors, effects=tuple(effects)).bind(log)
     assert [name for name in bound.names if name.startswith("formula_")] == [e.parameters[0].name for e in effects]
+
+
+def test_every_formula_reads_the_same_from_a_model_file(library):
+    """Along the path that its values were found on, the text of a formula gives these values to the last bit."""
+    log, tables, library = library
+    path = np.array(log.true_poses)
+    path[:, 2] = np.unwrap(path[:, 2])
+    waves = [wave(change, log, 23.456789, 12.3456) for change in steady_changes(tables, log.n_steps)]
+    known = with_estimates(log, tables, path)
+    base = default_model(log)
+    for effect in (*library.values(), *waves):
+        text = model_text(replace(base, effects=(effect,)), log)
+        (back,) = model_of_text(text, log).effects
+        assert (back.name, back.summary, back.carrier) == (effect.name, effect.summary, effect.carrier)
+        assert back.parameters[0].name == effect.parameters[0].name
+        assert model_text(replace(base, effects=(back,), priors=model_of_text(text, log).priors), log) == text
+        before, after = effect.edit(tables, [0.037], log), back.edit(tables, [0.037], known)
+        for one, other in zip((before.motion, *before.sensors), (after.motion, *after.sensors), strict=True):
+            for name, value in one._asdict().items():
+                np.testing.assert_array_equal(value, getattr(other, name), err_msg=f"{effect.name}: {name}")
+        if not path_formulas((back,)):
+            again = back.edit(tables, [0.037], log)
+            np.testing.assert_array_equal(again.motion.mean, before.motion.mean)
 
 
 def test_coefficient_is_filled_in():

@@ -10,9 +10,11 @@ import pytest
 from pmcl.criticism import workflow
 from pmcl.criticism.search import Outcome, Search
 from pmcl.criticism.workflow import criticize
-from pmcl.errors import CriticismError, FilterError, PmclError
+from pmcl.errors import CriticismError, FilterError, PmclError, PosteriorError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.model_file import read_model
 from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.sampling.checkpoint import fingerprint
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -110,6 +112,23 @@ def test_model_with_the_effect_is_an_ordinary_model(found):
     assert "range_scale" in bound.names
     theta = np.array([result.after[name].mean for name in bound.names])
     assert bound.log_prior(theta) > -np.inf
+
+
+@pytest.mark.slow
+def test_what_was_found_is_handed_over_as_a_model_file(found, tmp_path):
+    for text, result in found.items():
+        result.write_model(tmp_path / "better.toml")
+        back = read_model(tmp_path / "better.toml", hidden(text))
+        assert fingerprint(back.bind(result.log), {}) == fingerprint(result.model.bind(result.log), {})
+        # Another drive of the robot takes it as well.
+        assert back.bind(hidden(text, 80.0, 9)).names == result.model.bind(result.log).names
+    with pytest.raises(PosteriorError, match="no full chains were run"):
+        result.write_posterior(tmp_path / "better.nc")
+
+
+def test_a_posterior_needs_full_chains():
+    with pytest.raises(CriticismError, match="expected full chains for a posterior"):
+        criticize(hidden("", 80.0), joint=False, posterior=True)
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from localization.posteriors import around
@@ -9,10 +11,13 @@ from localization.posteriors import around
 import pmcl
 from pmcl.errors import ModelError
 from pmcl.localization.many import localize_many
+from pmcl.localization.offline import localize
 from pmcl.localization.online import OnlineLocalizer
 from pmcl.localization.options import FilterOptions
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.formula import formula_effect
 from pmcl.models.effects.selection import effect_named
-from pmcl.models.robot_model import RobotModel
+from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors import LandmarkNoise, RangeNoise
 from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field
@@ -94,3 +99,24 @@ def test_effects_of_the_whole_log_do_not_run_online(room_log, theta):
     assert pmcl.localize(room_log, model, theta=values).position_rmse < 0.2
     with pytest.raises(ModelError, match="still running"):
         OnlineLocalizer(room_log, model, theta=values)
+
+
+def test_a_formula_of_the_pose_helps_where_it_is_true_and_needs_a_whole_log():
+    """Ranges err by the direction of the beam in the world; the filter is told so by a formula."""
+    noise = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.03}
+
+    log = simulate_amigobot(80.0, 5, noise)
+    path = np.array(log.true_poses)
+    dataset = log.dataset.copy(deep=True)
+    dataset["range"] = dataset["range"].copy(data=dataset["range"].values.copy())
+    direction = path[:, 2, None] + log.beam_poses[:, 2]
+    dataset["range"].values[:] += 0.15 * np.cos(direction)
+    wrong = RobotLog(dataset, "leaning.nc")
+    plain = default_model(wrong)
+    known = replace(plain, effects=(formula_effect("range", ["cos(world_direction)"]),))
+    (coefficient,) = (parameter.name for parameter in known.effects[0].parameters)
+    with_it = localize(wrong, known, theta={**noise, coefficient: 0.15}, particles=300, seed=1)
+    without = localize(wrong, plain, theta={**noise, "sigma_range": 0.1}, particles=300, seed=1)
+    assert with_it.position_rmse < 0.6 * without.position_rmse
+    with pytest.raises(ModelError, match=r"expected effects that need no path.*world_direction"):
+        OnlineLocalizer(wrong, known, theta={**noise, coefficient: 0.15})

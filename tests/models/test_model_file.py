@@ -212,3 +212,38 @@ def test_what_a_file_cannot_hold_is_refused(sonar_log):
     other = (Parameter("sigma_x", "m", stats.expon()),)
     with pytest.raises(ModelError, match="IncrementNoise"):
         model_text(RobotModel(IncrementNoise(other), RANGES), sonar_log)
+
+
+FORMULA = '[[effects]]\nname = "formula"\ncarrier = "turn"\nterms = ["speed*k"]\n'
+
+
+def test_a_formula_by_hand_needs_no_more_than_carrier_and_terms(sonar_log, tmp_path):
+    path = tmp_path / "model.toml"
+    path.write_text(FORMULA + "constants = { k = 2.0 }\n")
+    (effect,) = read_model(path, sonar_log).effects
+    assert effect.name == "formula: turn += c*speed*k"
+    # The prior is as wide as three clear changes of 0.04 rad at the usual size of the term on this log.
+    usual = np.sqrt(np.mean((2.0 * np.hypot(*sonar_log.odometry[1:, :2].T) / np.diff(sonar_log.times)) ** 2))
+    assert effect.parameters[0].prior.std() == pytest.approx(3.0 * 0.04 / usual)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    {
+        '[[effects]]\nname = "formula"\nterms = ["speed"]': ("'effects.carrier'", "but got None"),
+        '[[effects]]\nname = "formula"\ncarrier = "turns"\nterms = ["speed"]': ("'effects.carrier'", "mean 'turn'"),
+        '[[effects]]\nname = "formula"\ncarrier = "turn"\nterms = "speed"': ("'effects.terms'", "a list of texts"),
+        '[[effects]]\nname = "formula"\ncarrier = "turn"\nterms = ["sped"]': ("'effects'", "did you mean 'speed'"),
+        FORMULA: ("'effects'", "expected a known variable, but got 'k'"),
+        FORMULA + "constants = { k = nan }": ("'effects.constants.k'", "finite number"),
+        FORMULA + "constants = 3": ("'constants'", "expected a table"),
+        FORMULA + "constants = { k = 1 }\nwindow = [3]": ("'effects.window'", "[begin, end]"),
+        FORMULA + "constants = { k = 1 }\nwindow = [3, 2]": ("'effects'", "begin < end"),
+        FORMULA + "constants = { k = 1 }\nwindos = [3, 4]": ("'effects.windos'", "did you mean 'window'"),
+        FORMULA + "constants = { k = 1 }\ncoefficients = []": ("'effects.coefficients'", "a list of texts"),
+        FORMULA + 'constants = { k = 1 }\ncoefficients = ["a", "b"]': ("'effects'", "one coefficient for each"),
+        FORMULA + 'constants = { k = 1 }\ncoefficients = ["sigma_turn"]': ("'sigma_turn'", "occur twice"),
+    }.items(),
+)
+def test_mistakes_in_formulas_are_told_in_one_line(text, expected, sonar_log, tmp_path):
+    test_every_mistake_is_told_in_one_line(text, expected, sonar_log, tmp_path)
