@@ -6,7 +6,8 @@
 (what is unusual, at a known false-alarm rate), :mod:`~pmcl.criticism.trials` (candidates refitted),
 :mod:`~pmcl.criticism.naming` (which of them explains it), :mod:`~pmcl.criticism.heldout` (what it is worth on data not
 used), :mod:`~pmcl.criticism.formulas` and :mod:`~pmcl.criticism.waves` (what no known effect describes).
-:mod:`~pmcl.criticism.search` puts them together. The result goes to :mod:`pmcl.reports` and, as JSON, to files.
+:mod:`~pmcl.criticism.search` puts them together, and :mod:`~pmcl.criticism.progress` says how far it has come. The
+result goes to :mod:`pmcl.reports` and, as JSON, model file and posterior, to files.
 """
 
 from __future__ import annotations

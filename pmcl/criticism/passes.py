@@ -56,9 +56,9 @@ class Settings:
         """Particles for comparisons of log scores, whose error must stay below some nats: `finer` times as many."""
         return self.finer * self.particles
 
-    def tell(self, message: str) -> None:
-        """Log a step of the run, if that was asked for."""
-        self.reporter.tell(message)
+    def tell(self, message: str, doing: str = "") -> None:
+        """Tell a step of the run, if that was asked for, see :meth:`pmcl.criticism.progress.Progress.tell`."""
+        self.reporter.tell(message, doing)
 
     def mapped(self, function: Callable[[int], Any], what: str, names: Sequence[str]) -> list[Any]:
         """Return the function's values at 0, 1, ..., one for each of `names`, made by threads.

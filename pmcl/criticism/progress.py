@@ -76,10 +76,10 @@ class Progress:
             self._thread = None
         self._hide()
 
-    def tell(self, message: str) -> None:
-        """Say which step begins or what it came to."""
+    def tell(self, message: str, doing: str = "") -> None:
+        """Say which step begins, or what one came to; `doing` is then what goes on from here."""
         self.check()
-        self._stage = message
+        self._stage = doing or message
         if self.shown:
             self._log(message)
 

@@ -324,7 +324,7 @@ class Search:
 
     def split_at(self, share: float) -> None:
         """Hold out other rows."""
-        self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows")
+        self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows", "looking again")
         self.split = int(share * self.log.n_steps)
         self.judged = split_again(self.judged, self.wanted, self.split, self.settings)
 

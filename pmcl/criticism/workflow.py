@@ -195,7 +195,7 @@ class _Loop:
                 raise
             at, name = str(lost).partition(" at ")[2].partition(";")[0], recovered[0].model.effects[-1].name
             self.notes.append(f"without {name} the filter loses the robot at {at}")
-            self.settings.tell(f"named {name}: with it the filter follows")
+            self.settings.tell(f"named {name}: with it the filter follows", "fitting the model with it")
         first = last = self.search.criticised(fit)
         seen = first.evidence.predictions
         if len(set(zip(seen.kind.tolist(), seen.channel.tolist(), strict=True))) < 2:
@@ -223,7 +223,8 @@ class _Loop:
                 decision = f"stop after {rounds} effects" if alarms else "nothing unusual"
                 self._record(last, current or self.search.trial_of(last), [], decision)
                 break
-            self.settings.tell(f"alarm: {alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}")
+            worst = f"{alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}"
+            self.settings.tell(f"alarm: {worst}", "looking for what explains the alarm")
             current = current or self.search.trial_of(last)
             # Of later passes a doubtful alarm was looked at again before.
             doubted = not self.found and in_doubt(last.judgement)
@@ -280,7 +281,9 @@ class _Loop:
         assert accepted.effect is not None
         self._record(last, before or self.search.trial_of(last), trials, decision, accepted)
         gain = accepted.on_heldout.total
-        self.settings.tell(f"added {called(accepted.effect)}: {gain:+.1f} nats on held-out data")
+        self.settings.tell(
+            f"added {called(accepted.effect)}: {gain:+.1f} nats on held-out data", "fitting the model with it"
+        )
         return self._without_spare(accepted)
 
     def _refitted(self, last: Pass, current: Trial, number: int) -> Pass:

@@ -1,6 +1,20 @@
 """Model files: a robot model as TOML that people read and edit.
 
 Every key may be left out; what is left out is what :func:`pmcl.models.robot_model.default_model` does with the log.
+Effects are tables: those of the catalogue by name and place, formulas by carrier and terms
+(:mod:`pmcl.models.effects.formula`)::
+
+    [[effects]]
+    name = "beam-bias"
+    beams = [2]
+
+    [[effects]]
+    name = "formula"                                  # or "formula: " and what people shall call it
+    carrier = "turn"                                  # turn += the sum of coefficients times terms
+    terms = ["sin(2*pi*(time - begins)/period)"]
+    constants = { begins = 59.0, period = 60.0 }      # fixed numbers of the terms
+    window = [0.0, 300.0]                             # [s], where it holds; always when left out
+    coefficients = ["swing"]                          # names of the parameters, whose priors stand below [priors]
 """
 
 from __future__ import annotations

@@ -90,7 +90,18 @@ def test_a_robot_that_was_carried_away_is_lost_from_then_on(log):
     lost = lost_at(made, 120)
     assert lost is not None
     assert 50 <= lost <= 75
-    with pytest.raises(FilterError, match=r"carried.nc: the filter loses the robot at t=\d+ s; restart with"):
+    with pytest.raises(FilterError, match=r"carried.nc: the filter loses the robot at t=\d+ s; allow for gross errors"):
+        particles_that_follow(bound, theta, 500, 1)
+    # The advice holds here, too: the part before the robot was carried away is followed.
+    before = carried.select(0, 55)
+    assert particles_that_follow(default_model(before).bind(before), theta, 500, 1) == (500, "")
+
+
+def test_a_model_with_gross_errors_is_not_advised_to_have_them(log):
+    carried = _carried(log)
+    bound = default_model(carried, outliers=True).bind(carried)
+    theta = np.array([*NOISE.values(), 0.001])
+    with pytest.raises(FilterError, match=r"at t=\d+ s; criticize the part of the log before that time"):
         particles_that_follow(bound, theta, 500, 1)
 
 

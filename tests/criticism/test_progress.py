@@ -22,15 +22,15 @@ def test_off_a_terminal_lines_say_what_is_done_what_is_left_and_the_time(caplog)
     caplog.set_level(logging.INFO, logger="pmcl.criticism")
     with Progress(True, live=False, pause=0.02) as reporter:
         run = settings(reporter, workers=1)
-        run.tell("refitting")
+        run.tell("an alarm", "looking for its cause")
         values = run.mapped(lambda k: time.sleep(0.05) or k, "refitting candidates", ["beam-bias", "arc", "bias"])
         time.sleep(0.05)
     assert values == [0, 1, 2]
     lines = [record.getMessage() for record in caplog.records]
-    assert lines[0] == "[0:00] refitting"
+    assert lines[0] == "[0:00] an alarm"
     assert "[0:00] still refitting candidates: 1 of 3 done, 2 left, now arc" in lines
     # After the pieces the step itself goes on.
-    assert lines[-1] == "[0:00] still refitting"
+    assert lines[-1] == "[0:00] still looking for its cause"
     count = len(lines)
     time.sleep(0.05)
     assert len(caplog.records) == count

@@ -4,7 +4,8 @@ An :class:`~pmcl.models.effects.effect.Effect` has a name, parameters with prior
 of :mod:`pmcl.models.tables`. In a :class:`~pmcl.models.robot_model.RobotModel` it is calibrated with everything else,
 in ``pmcl simulate --effect`` it is simulated, and the critic looks for it. :mod:`~pmcl.models.effects.catalogue` holds
 the effects that pmcl knows, :mod:`~pmcl.models.effects.registry` adds those of installed packages and of files
-(``--effects FILE.py``), and :mod:`~pmcl.models.effects.selection` picks them by name.
+(``--effects FILE.py``), :mod:`~pmcl.models.effects.selection` picks them by name, and
+:mod:`~pmcl.models.effects.formula` makes effects of formulas that are written as text.
 
 An effect of your own is a few lines of numpy. A robot that pulls to one side whenever it accelerates::
 
