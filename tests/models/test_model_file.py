@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from pmcl.errors import ModelError
+from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_file import model_text, read_model
 from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
 from pmcl.models.parameters import Parameter
@@ -212,6 +213,22 @@ def test_what_a_file_cannot_hold_is_refused(sonar_log):
     other = (Parameter("sigma_x", "m", stats.expon()),)
     with pytest.raises(ModelError, match="IncrementNoise"):
         model_text(RobotModel(IncrementNoise(other), RANGES), sonar_log)
+
+
+def test_a_landmark_that_this_log_never_saw_is_still_a_place(landmark_log, tmp_path):
+    """A model that was found on one drive is used on another, on which a landmark may not have come by."""
+    dataset = landmark_log.dataset.copy(deep=True)
+    for name in ("landmark_range", "landmark_bearing"):
+        values = dataset[name].values.copy()
+        values[:, 2] = np.nan
+        dataset[name] = (("time", "landmark"), values)
+    blind = RobotLog(dataset, "blind.nc")
+    path = tmp_path / "model.toml"
+    path.write_text('[[effects]]\nname = "landmark-moved"\nlandmarks = [2]\n')
+    assert read_model(path, blind).effects[0].where == {"landmarks": (2,)}
+    path.write_text('[[effects]]\nname = "landmark-moved"\nlandmarks = [99]\n')
+    with pytest.raises(ModelError, match="places that the log has, but got 99"):
+        read_model(path, blind)
 
 
 FORMULA = '[[effects]]\nname = "formula"\ncarrier = "turn"\nterms = ["speed*k"]\n'
