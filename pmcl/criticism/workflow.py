@@ -31,6 +31,7 @@ from pmcl.criticism.search import FIT_SHARE, LATER, Outcome, Search
 from pmcl.criticism.trials import Trial, spare_effects
 from pmcl.criticism.verdict import called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
+from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimated_path, with_estimates
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.predictive import Predictions, predict_readings
@@ -185,7 +186,9 @@ class _Loop:
     def run(self, rounds: int, joint: bool, draws: int, always: bool) -> Criticism:
         """Go through the loop; `always` calibrates by full chains also what nothing was added to."""
         self.settings.tell("fitting the base model")
-        fit = quick_fit(self.base.bind(self.log), self.settings.seed)
+        bound = self.base.bind(self.log)
+        compile_for_criticism(bound.tables(bound.prior_mean())[0])
+        fit = quick_fit(bound, self.settings.seed)
         recovered: tuple[Trial, list[Trial]] | None = None
         try:
             self._follow(fit)

@@ -9,6 +9,7 @@ from typing import Any
 
 from pmcl import defaults
 from pmcl.errors import ModelError, SamplingError
+from pmcl.filtering.ahead import compile_for_calibration
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_text import model_text
@@ -115,6 +116,7 @@ def calibrate(
     bound = model.bind(logs)
     if bound.dimension == 0:
         raise SamplingError("expected at least one free parameter, but the model fixes all of them; free one")
+    compile_for_calibration(bound.tables(bound.prior_mean())[0])
     shared: dict[str, Any] = {
         "pool": pool,
         "checkpoint": os.fspath(checkpoint) if checkpoint is not None else None,

@@ -6,19 +6,21 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba.core import caching
 from oracles import hidden_markov
 from oracles.random_walk_model import rail_log, rail_model
 
-from pmcl.filtering.kernels import compile as compilation
-from pmcl.filtering.kernels import contract, smc
+from pmcl.filtering.kernels import contract, disk_cache, smc
+from pmcl.filtering.kernels.disk_cache import DiskCache
+from pmcl.filtering.kernels.file_lock import FileLock
+from pmcl.filtering.kernels.vector_math import exp_into
 from pmcl.filtering.particle_filter import make_rng, sweep_path
 
 TESTS = Path(__file__).resolve().parents[1]
-PACKAGE = Path(compilation.__file__).resolve().parents[3]
+PACKAGE = Path(disk_cache.__file__).resolve().parents[3]
 
 # A kernel of one's own, in a file of its own: its answer is VALUE, so a stale one would be seen.
 SMALL = """
@@ -39,12 +41,20 @@ def answer(table):
 """
 RUN_SMALL = """
 import sys
-import pmcl.filtering.kernels.compile as compilation
+from pmcl.filtering.kernels import disk_cache
 if len(sys.argv) > 1:
-    compilation._package_hash = lambda: sys.argv[1]
+    disk_cache._package_hash = lambda: sys.argv[1]
 import small
 value = small.answer(small.Marked(1.0))
 print(value, sum(small.answer.stats.cache_hits.values()), sum(small.answer.stats.cache_misses.values()))
+"""
+RUN_INNER = """
+import small
+from numba import typeof
+from pmcl.filtering.kernels.contract import scratch_rows
+inner = scratch_rows.compiled[small.Marked]
+inner.compile((typeof(small.Marked(1.0)),))
+print(sum(inner.stats.cache_hits.values()), sum(inner.stats.cache_misses.values()))
 """
 SAMPLE = """
 import numpy as np
@@ -64,14 +74,18 @@ print(log_joint(rail_model().bind(rail_log(4, 1)).tables(np.ones(2))[0], np.full
 def _run(code, folder, *arguments, cache, paths=()):
     """Run a program in a process of its own and return what it prints; its kernels are cached in `cache`."""
     (folder / "program.py").write_text(code)
-    environment = os.environ | {
-        "NUMBA_CACHE_DIR": str(cache),
-        "PYTHONPATH": os.pathsep.join(str(path) for path in (PACKAGE, *paths)),
-    }
+    environment = _environment(cache, paths)
     command = [sys.executable, str(folder / "program.py"), *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
+
+
+def _environment(cache, paths=()):
+    return os.environ | {
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONPATH": os.pathsep.join(str(path) for path in (PACKAGE, *paths)),
+    }
 
 
 def test_two_models_run_twice_are_compiled_once_each():
@@ -102,25 +116,51 @@ def test_tables_of_one_model_have_one_type():
     assert len(kinds) == 1
 
 
-def test_the_key_changes_with_any_kernel_source(monkeypatch):
-    cache, signature = smc.sweep._cache, (1,)
-    codegen = smc.sweep.targetctx.codegen()
-    key = cache._index_key(signature, codegen)
-    assert cache._index_key(signature, codegen) == key
-    monkeypatch.setattr(compilation, "_package_hash", lambda: "other sources")
-    assert cache._index_key(signature, codegen) != key
+def _file_of(signature=(1,), function=smc.sweep):
+    return function._cache.file_of(signature, function.targetctx.codegen())
 
 
-def test_the_key_covers_every_kernel_file_and_registered_implementation(monkeypatch):
-    before = compilation._package_hash.__wrapped__()
+def test_the_file_changes_with_any_kernel_source(monkeypatch):
+    before = _file_of()
+    assert _file_of() == before
+    monkeypatch.setattr(disk_cache, "_package_hash", lambda: "other sources")
+    assert _file_of() != before
+
+
+def test_the_file_changes_with_the_function_its_signature_and_how_it_is_compiled(tmp_path):
+    names = {_file_of().name, _file_of((2,)).name, _file_of((1,), smc.joint_terms).name}
+    names |= {_file_of((1,), function).name for function in (exp_into, smc.work_rows)}
+    sweep = smc.sweep
+    other = DiskCache(sweep.py_func, {"nogil": False}, sweep._cache._make)
+    names.add(other.file_of((1,), sweep.targetctx.codegen()).name)
+    assert len(names) == 6
+
+
+def test_table_types_of_one_name_in_two_modules_have_two_files():
+    """What numba calls a type says only how a table is called, not where it comes from."""
+    import numba
+
+    files = set()
+    for module in ("one", "other"):
+
+        class Table(NamedTuple):
+            number: float
+
+        Table.__module__ = module
+        files.add(_file_of((numba.typeof((Table(1.0),)),)))
+    assert len(files) == 2
+
+
+def test_the_file_covers_every_kernel_file_and_registered_implementation(monkeypatch):
+    before = disk_cache._package_hash.__wrapped__()
     for name in ("ranges.py", "smc.py", "vector_math.py", "tables.py"):
         with monkeypatch.context() as patch:
             real = Path.read_bytes
             patch.setattr(
                 Path, "read_bytes", lambda path, name=name, real=real: real(path) + (b"#" if path.name == name else b"")
             )
-            assert compilation._package_hash.__wrapped__() != before, name
-    assert str(Path(hidden_markov.__file__)) in compilation._extra_sources
+            assert disk_cache._package_hash.__wrapped__() != before, name
+    assert str(Path(hidden_markov.__file__)) in disk_cache._extra_sources
 
 
 def test_a_second_process_uses_what_the_first_compiled_until_a_source_changes(tmp_path):
@@ -139,24 +179,57 @@ def test_a_second_process_uses_what_the_first_compiled_until_a_source_changes(tm
     assert run() == ["4", "1", "0"]
 
 
-@pytest.mark.parametrize("kind", ["pmcl's", "numba's"])
-def test_two_processes_that_save_at_once_do_not_mix_up_their_code(tmp_path, kind):
-    """One saves all of its own between the other's two files, knowing nothing of it; numba's own files then lie."""
-    files = compilation._CacheFiles if kind == "pmcl's" else caching.IndexDataCacheFile
-    one, two, later = (files(str(tmp_path), "function", "stamp") for _ in range(3))
-    save_data = one._save_data
+def test_inner_functions_are_read_from_disk_by_another_process(tmp_path):
+    """A second entry that calls the same inner function finds its intermediate code, although it is itself new."""
+    source = tmp_path / "small.py"
+    source.write_text(SMALL.replace("VALUE", "3"))
+    _run(RUN_SMALL, tmp_path, cache=tmp_path / "cache", paths=(tmp_path,))
+    for file in (tmp_path / "cache").rglob("small.answer*.nbc"):
+        file.unlink()
+    assert _run(RUN_SMALL, tmp_path, cache=tmp_path / "cache", paths=(tmp_path,)) == ["3", "0", "1"]
+    assert _run(RUN_INNER, tmp_path, cache=tmp_path / "cache", paths=(tmp_path,)) == ["1", "0"]
 
-    def interrupted(name, data):
-        if not list(tmp_path.glob("*.nbc")):
-            two._load_index = dict
-            two.save("key of two", "code of two")
-        save_data(name, data)
 
-    one._save_data = interrupted
-    one.save("key of one", "code of one")
-    found = later.load("key of two")
-    assert found == ("code of two" if kind == "pmcl's" else "code of one")
-    assert later.load("key of one") in ("code of one", None)
+def test_a_damaged_file_is_compiled_anew(tmp_path):
+    (tmp_path / "small.py").write_text(SMALL.replace("VALUE", "3"))
+
+    def run():
+        return _run(RUN_SMALL, tmp_path, cache=tmp_path / "cache", paths=(tmp_path,))
+
+    run()
+    for file in (tmp_path / "cache").rglob("*.nbc"):
+        file.write_bytes(file.read_bytes()[:100])
+    assert run() == ["3", "0", "1"]
+    assert run() == ["3", "1", "0"]
+
+
+def test_of_processes_that_start_together_only_the_first_compiles(tmp_path):
+    """The others wait for its file; all of them get the right answer."""
+    (tmp_path / "small.py").write_text(SMALL.replace("VALUE", "3"))
+    (tmp_path / "program.py").write_text(RUN_SMALL)
+    environment = _environment(tmp_path / "cache", (tmp_path,))
+    command = [sys.executable, str(tmp_path / "program.py")]
+    started = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    answers = [process.communicate(timeout=300)[0].split() for process in started]
+    assert {answer[0] for answer in answers} == {"3"}
+    assert [sum(int(answer[k]) for answer in answers) for k in (1, 2)] == [2, 1]
+    assert not list((tmp_path / "cache").rglob("*.lock"))
+
+
+def test_a_lock_is_free_again_when_it_is_given_back(tmp_path):
+    path = tmp_path / "one.lock"
+    with FileLock(path) as one, FileLock(path) as other:
+        assert one.acquire()
+        assert not other.acquire()
+        one.release()
+        assert other.acquire()
+    assert not path.exists()
+
+
+def test_where_nothing_can_be_written_a_lock_keeps_nobody_waiting(tmp_path):
+    (tmp_path / "file").write_text("")
+    with FileLock(tmp_path / "file" / "one.lock") as lock:
+        assert lock.acquire()
 
 
 @pytest.mark.slow

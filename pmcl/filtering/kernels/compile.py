@@ -120,6 +120,7 @@ def generic(prototype: Callable[..., Any]) -> Any:
 
     dispatch.register = register  # type: ignore[attr-defined]
     dispatch.implementations = implementations  # type: ignore[attr-defined]
+    dispatch.compiled = compiled  # type: ignore[attr-defined]
     return dispatch
 
 

@@ -28,24 +28,36 @@ from numba.core.serialize import dumps
 
 from pmcl.filtering.kernels.file_lock import FileLock
 
-__all__ = ["DiskCache", "remember_source"]
+__all__ = ["DiskCache", "current_sources", "extra_modules", "remember_source"]
 
 # After so long [s] another process that compiles the same function is taken to hang, and is not waited for any longer.
 _PATIENCE = 120.0
 _PAUSE = 0.02
 
-_extra_sources: dict[str, str] = {}
+_HOME = Path(__file__).resolve().parent
+# Of each source outside this folder that holds kernels: a hash of its content, and the module that it is.
+_extra_sources: dict[str, tuple[str, str]] = {}
 
 
 def remember_source(function: Callable[..., Any]) -> None:
     """Let compiled code depend on the file that `function` is written in, as it is now."""
     with contextlib.suppress(TypeError):
         name = inspect.getsourcefile(function)
-        if name and Path(name).resolve().parent != Path(__file__).resolve().parent:
+        if name and not _is_own(name):
             content = b""
             with contextlib.suppress(OSError):
                 content = Path(name).read_bytes()
-            _extra_sources[name] = hashlib.sha256(content).hexdigest()
+            _extra_sources[name] = hashlib.sha256(content).hexdigest(), function.__module__
+
+
+@functools.cache
+def _is_own(name: str) -> bool:
+    return Path(name).resolve().parent == _HOME
+
+
+def extra_modules() -> list[str]:
+    """Return the modules outside this folder that hold kernels."""
+    return sorted({module for _, module in _extra_sources.values()})
 
 
 @functools.cache
@@ -58,8 +70,10 @@ def _package_hash() -> str:
     return digest.hexdigest()
 
 
-def _source_hash() -> str:
-    return hashlib.sha256(repr((_package_hash(), sorted(_extra_sources.items()))).encode()).hexdigest()
+def current_sources() -> str:
+    """Return a hash of all sources that compiled code may come from."""
+    extra = sorted((name, content) for name, (content, _) in _extra_sources.items())
+    return hashlib.sha256(repr((_package_hash(), extra)).encode()).hexdigest()
 
 
 def _table_types(kind: Any) -> Iterator[str]:
@@ -90,7 +104,10 @@ class DiskCache(caching._Cache):
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], implementation: Any) -> None:
-        self._function, self._options, self._make = function, repr(sorted(options.items(), key=str)), implementation
+        self._function, self._make = function, implementation
+        # Sets have another order in each process.
+        plain = {name: sorted(value) if isinstance(value, set) else value for name, value in options.items()}
+        self._options = repr(sorted(plain.items()))
 
     @functools.cached_property
     def _implementation(self) -> Any:
@@ -124,7 +141,7 @@ class DiskCache(caching._Cache):
             self._options,
             hashlib.sha256(code.co_code).hexdigest(),
             hashlib.sha256(dumps(tuple(cell.cell_contents for cell in cells)) if cells else b"").hexdigest(),
-            _source_hash(),
+            current_sources(),
         )
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:24]
         return Path(self.cache_path) / f"{self._implementation.filename_base}.{digest}.nbc"
@@ -135,10 +152,11 @@ class DiskCache(caching._Cache):
         if self._implementation is None:
             return None
         try:
-            content = self.file_of(sig, target_context.codegen()).read_bytes()
-        except OSError:
+            payload = pickle.loads(self.file_of(sig, target_context.codegen()).read_bytes())
+        except (OSError, EOFError, pickle.UnpicklingError):
+            # Not there, or damaged by a crash of the machine: it will be compiled and written anew.
             return None
-        return self._implementation.rebuild(target_context, pickle.loads(content))
+        return self._implementation.rebuild(target_context, payload)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the compilation result `data` of one signature, where that is possible."""
@@ -157,23 +175,40 @@ class DiskCache(caching._Cache):
             with contextlib.suppress(OSError):
                 draft.unlink()
 
-    def has(self, signature: Any, target_context: Any) -> bool:
-        """Return whether the code of one signature is on disk."""
+    def file_to_come(self, signature: Any, target_context: Any) -> Path | None:
+        """Return the file that will hold the code of one signature; None where it is there, or nothing is kept."""
         target_context.refresh()
-        return self._implementation is not None and self.file_of(signature, target_context.codegen()).exists()
+        if self._implementation is None:
+            return None
+        file = self.file_of(signature, target_context.codegen())
+        return None if file.exists() else file
 
     @contextlib.contextmanager
-    def alone(self, signature: Any, target_context: Any) -> Iterator[None]:
-        """Wait while another process compiles this signature, and let others wait while this one does."""
-        if self._implementation is None or self.has(signature, target_context):
-            yield
+    def alone(self, file: Path | None, *, patience: float = _PATIENCE) -> Iterator[bool]:
+        """Wait while another process makes a file, and let others wait while this one does.
+
+        Parameters
+        ----------
+        file : Path or None
+            The file, from :meth:`file_to_come`; None locks nothing.
+        patience : float
+            How long to wait [s].
+
+        Yields
+        ------
+        bool
+            Whether the file still has to be made and no other process is known to be at it.
+        """
+        if file is None:
+            yield True
             return
-        file = self.file_of(signature, target_context.codegen())
         with FileLock(file.with_name(file.name + ".lock")) as lock:
             started = time.monotonic()
-            while not (lock.acquire() or file.exists()) and time.monotonic() - started < _PATIENCE:
+            mine = lock.acquire()
+            while not (mine or file.exists()) and time.monotonic() - started < patience:
                 time.sleep(_PAUSE)
-            yield
+                mine = lock.acquire()
+            yield mine and not file.exists()
 
 
 def _arguments(signature: Any) -> Any:

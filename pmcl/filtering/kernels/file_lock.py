@@ -10,7 +10,7 @@ from types import TracebackType
 try:
     import fcntl
 except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment,unused-ignore]
 
 __all__ = ["FileLock"]
 
@@ -75,6 +75,6 @@ def _lock(handle: int) -> None:
     import msvcrt
 
     try:
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
     except PermissionError as error:
         raise BlockingIOError(str(error)) from error

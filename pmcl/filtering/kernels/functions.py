@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from llvmlite import binding as llvm
 from numba import njit, types
 from numba.core import caching, sigutils
 from numba.core.codegen import CPUCodeLibrary
-from numba.core.compiler import Compiler, CompilerBase, CompileResult, DefaultPassBuilder, Flags
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags, compile_result
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import AbstractTemplate
 
@@ -43,11 +43,6 @@ class _Flags(Flags):
         return self is other or self._values == getattr(other, "_values", None) or super().__eq__(other)
 
 
-class _EntryCompiler(_FunctionCompiler):
-    def _customize_flags(self, flags: Any) -> Any:
-        return _Flags(flags)
-
-
 class EntryFunction(CPUDispatcher):
     """A compiled function that Python calls.
 
@@ -61,18 +56,36 @@ class EntryFunction(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions={"nopython": True, **options})
-        self._compiler = _EntryCompiler(function, self.targetdescr, self.targetoptions, self.locals, Compiler)
+        self._compiler._customize_flags = _Flags
         self._cache = DiskCache(function, options, caching.CompileResultCacheImpl)
 
     def compile(self, sig: Any) -> Any:
         """Compile one signature, or find it on disk."""
-        arguments, _ = sigutils.normalize_signature(sig)
         # Threads that start together must not compile the same thing twice: numba's lock comes first.
         with global_compiler_lock:
-            if tuple(arguments) in self.overloads:
+            if _is_known(self, sig):
                 return super().compile(sig)
-            with self._cache.alone(sig, self.targetctx), announce_compilation(self.py_func.__name__, self):
+            file = self.file_to_come(sig)
+            if file is not None or not self._cache.cache_path:
+                announce_compilation(self.py_func.__name__, file)
+            with self._cache.alone(file):
                 return super().compile(sig)
+
+    def file_to_come(self, signature: Any) -> Path | None:
+        """Return the file that will hold the code of one signature; None where nothing has to be compiled for it."""
+        return None if _is_known(self, signature) else self._cache.file_to_come(signature, self.targetctx)
+
+    def compile_unless_busy(self, signature: Any) -> None:
+        """Compile one signature unless it is on disk or another process is at it."""
+        file = self.file_to_come(signature)
+        if file is not None:
+            with global_compiler_lock, self._cache.alone(file, patience=0.0) as needed:
+                if needed:
+                    super().compile(signature)
+
+
+def _is_known(function: CPUDispatcher, signature: Any) -> bool:
+    return tuple(sigutils.normalize_signature(signature)[0]) in function.overloads
 
 
 class _InnerLibrary(CPUCodeLibrary):
@@ -106,15 +119,10 @@ class _InnerPipeline(CompilerBase):
         return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
 
 
-class _InnerCompiler(_FunctionCompiler):
-    def _customize_flags(self, flags: Any) -> Any:
-        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-        return _Flags(flags)
-
-    def _compile_core(self, args: Any, return_type: Any) -> Any:
-        result = super()._compile_core(args, return_type)._replace(entry_point=object())
-        result.target_context.insert_user_function(result.entry_point, result.fndesc, [result.library])
-        return result
+def _inner_flags(flags: Flags) -> _Flags:
+    inner = _Flags(flags)
+    inner.no_compile = inner.no_cpython_wrapper = inner.no_cfunc_wrapper = True
+    return inner
 
 
 class _InnerCacheImplementation(caching.CompileResultCacheImpl):
@@ -131,20 +139,16 @@ class _InnerCacheImplementation(caching.CompileResultCacheImpl):
         name, bitcode, descriptor, environment, signature, reload_init, environments = payload
         for function in reload_init:
             function()
-        return CompileResult(
+        return compile_result(
             typing_context=target_context.typing_context,
             target_context=target_context,
             entry_point=object(),
-            typing_error=None,
-            type_annotation="",
             signature=signature,
             objectmode=False,
             lifted=(),
             fndesc=descriptor,
             library=_InnerLibrary.from_bitcode(target_context.codegen(), name, bitcode),
-            call_helper=None,
             environment=environment,
-            metadata=None,
             reload_init=reload_init,
             referenced_envs=environments,
         )
@@ -165,20 +169,23 @@ class InnerFunction(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions={"nopython": True, **options}, pipeline_class=_InnerPipeline)
-        self._compiler = _InnerCompiler(function, self.targetdescr, self.targetoptions, self.locals, _InnerPipeline)
+        self._compiler._customize_flags = _inner_flags
         self._cache = DiskCache(function, options, _InnerCacheImplementation)
 
     def add_overload(self, cres: Any) -> None:
         """Remember a compilation result, but not as something to call from Python."""
+        if cres.entry_point is None:
+            # Just compiled. Callers find it by this object, which for other functions is what Python calls.
+            cres = cres._replace(entry_point=object())
+            self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
         self.overloads[tuple(cres.signature.args)] = cres
 
     def compile(self, sig: Any) -> Any:
         """Compile one signature, or find it on disk."""
-        arguments, _ = sigutils.normalize_signature(sig)
         with global_compiler_lock:
-            if tuple(arguments) in self.overloads:
+            if _is_known(self, sig):
                 return super().compile(sig)
-            with self._cache.alone(sig, self.targetctx):
+            with self._cache.alone(self._cache.file_to_come(sig, self.targetctx)):
                 return super().compile(sig)
 
     @functools.cached_property
@@ -201,7 +208,7 @@ def call_template(function: Callable[..., Any], choose: Callable[..., InnerFunct
             if chosen is None:
                 return None
             kind = types.Dispatcher(chosen)
-            signature = kind.get_call_type(self.context, args, kws)
+            signature: Any = kind.get_call_type(self.context, args, kws)
             self._found[signature.args] = kind.get_overload(signature)
             return signature
 

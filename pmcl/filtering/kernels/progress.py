@@ -3,29 +3,48 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+import threading
+from collections.abc import Iterable
+from pathlib import Path
 
-__all__ = ["announce_compilation"]
+__all__ = ["announce_compilation", "expect_compilations"]
 
 _logger = logging.getLogger("pmcl.compile")
-_said = False
+_lock = threading.Lock()
+# Files that hold, or will hold, the code of what was or is to be compiled.
+_expected: set[Path] = set()
 
 
-@contextmanager
-def announce_compilation(name: str, compiled: Any) -> Iterator[None]:
-    """Log one line before the first compilation of this process and the time each one took."""
-    global _said
-    started = time.perf_counter()
-    misses = sum(compiled.stats.cache_misses.values())
-    if not _said:
-        _said = True
-        _logger.info(
-            "loading the compiled kernels (the first run on a machine compiles them: half a minute; some minutes for "
-            "criticism, which needs those of all effects) ..."
-        )
-    yield
-    if sum(compiled.stats.cache_misses.values()) > misses:
-        _logger.info("compiled %s in %.1f s", name, time.perf_counter() - started)
+def expect_compilations(files: Iterable[Path]) -> None:
+    """Count compilations that are still to come in the total that is told."""
+    with _lock:
+        _forget_if_done()
+        _expected.update(files)
+
+
+def announce_compilation(name: str, file: Path | None) -> None:
+    """Log which compilation begins, and of how many.
+
+    Parameters
+    ----------
+    name : str
+        What is compiled.
+    file : Path or None
+        The file that will hold its code, if any.
+    """
+    with _lock:
+        if file is None:
+            _logger.info("compiling %s ...", name)
+            return
+        _forget_if_done()
+        _expected.add(file)
+        _logger.info("compiling %d of %d (%s) ...", 1 + _count_done(), len(_expected), name)
+
+
+def _count_done() -> int:
+    return sum(file.exists() for file in _expected)
+
+
+def _forget_if_done() -> None:
+    if _count_done() == len(_expected):
+        _expected.clear()
