@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+# Tests already run on all processors; no test gets a second process that compiles for it, unless it asks.
+os.environ.setdefault("PMCL_COMPILE_AHEAD", "0")
+
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:

@@ -123,6 +123,8 @@ def serve(stream: Any) -> None:
     threading.Thread(target=_end_with, args=(stream,), daemon=True).start()
     for module, name, signature in reversed(jobs):
         getattr(import_module(module), name).compile_unless_busy(signature)
+    # At once: an interpreter that shuts down orderly would wait for the thread that reads.
+    os._exit(0)
 
 
 def _end_with(stream: Any) -> None:
