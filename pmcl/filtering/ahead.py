@@ -22,7 +22,7 @@ __all__ = ["compile_for_calibration", "compile_for_criticism"]
 
 def compile_for_calibration(tables: Tables) -> None:
     """Begin to compile what a calibration with such tables needs; return at once."""
-    compile_ahead([*_sampling(tables), *_filtering(tables)])
+    compile_ahead([*_sampling(tables), *_filtering(tables)[:2]])
 
 
 def compile_for_criticism(tables: Tables) -> None:

@@ -158,7 +158,7 @@ def test_what_is_compiled_ahead_stays_within_its_budget(short_log, monkeypatch):
     monkeypatch.setattr(ahead, "compile_ahead", foreseen.extend)
     tables = default_model(short_log).bind(short_log).tables(np.array([0.1, 0.1, 0.1, 0.1]))[0]
     ahead.compile_for_calibration(tables)
-    assert len(_signatures(foreseen)) <= 8
+    assert len(_signatures(foreseen)) <= 7
     foreseen.clear()
     ahead.compile_for_criticism(tables)
     assert len(_signatures(foreseen)) <= 21

@@ -188,6 +188,10 @@ class InnerFunction(CPUDispatcher):
             with self._cache.alone(self._cache.file_to_come(sig, self.targetctx)):
                 return super().compile(sig)
 
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Say what a call returns; a constant is compiled for as any value of its type, not once more for itself."""
+        return super().get_call_template(tuple(types.unliteral(kind) for kind in args), kws)
+
     @functools.cached_property
     def _for_python(self) -> Any:
         options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
