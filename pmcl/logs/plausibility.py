@@ -147,14 +147,18 @@ def _zeros(log: LogArrays) -> Iterator[Finding]:
 
 
 def _channels(log: LogArrays) -> Iterator[tuple[str, int, Float]]:
-    """Yield sensor, number and readings (T,) of each beam and each landmark's channel; no echo and zero are NaN."""
+    """Yield sensor, number and readings (T,) of each beam and each landmark's channel.
+
+    Zero, no echo, and the greatest distance that the sensor tells of landmarks are NaN: sensors clip there.
+    """
     if log.ranges is not None:
         sound = np.where((log.ranges > 0.0) & (log.ranges < log.max_range), log.ranges, np.nan)
         for k, values in enumerate(sound.T):
             yield "beam", k, values
     for name, table in (("range", log.landmark_range), ("bearing", log.landmark_bearing), ("size", log.landmark_size)):
         if table is not None:
-            for k, values in enumerate(np.where(table != 0.0, table, np.nan).T):
+            clipped = (table == 0.0) | ((table == np.nanmax(table, initial=0.0)) & (name == "range"))
+            for k, values in enumerate(np.where(clipped, np.nan, table).T):
                 yield f"{name} of landmark", k, values
 
 

@@ -149,7 +149,14 @@ def _mistake(log: RobotLog, stretch: Stretch, noise: Noise, particles: int) -> t
         finer = evidence_of(log, stretch, ways[:1], noise, _FINER * particles, seed=1)
         if _tells(unrelated - finer.rows[0], len(ways)):
             return (_unrelated(float((unrelated - finer.rows[0]).sum()), stretch),)
-    return _disagreeing(log, stretch, evidence.levels, noise, len(ways))
+    if not np.isfinite(log.start_std).all():
+        # A filter that has not found the robot shows any motion.
+        return ()
+    found = _disagreeing(log, stretch, evidence.levels, noise, len(ways))
+    if found:
+        finer = evidence_of(log, stretch, ways[:1], noise, _FINER * particles, seed=1)
+        found = _disagreeing(log, stretch, finer.levels, noise, len(ways))
+    return found
 
 
 def _tells(gain: Float, n_ways: int) -> bool:
