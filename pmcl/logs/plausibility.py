@@ -28,11 +28,13 @@ _SHARE_OF_ROWS = 0.02
 # A robot whose fastest tenth of moves is below both [m/s, rad/s] while its rows are further apart than this [s] has its
 # times in a smaller unit: rows of a slow robot that is rarely recorded are far apart in space as well.
 _SLOWEST, _SLOWEST_TURN, _LONG_PERIOD = 1e-3, 1e-3, 5.0
-# Readings that repeat bit for bit over so many rows ...
-_STUCK_ROWS = 10
+# Readings that repeat bit for bit over so many rows, which by chance happens so rarely in a log ...
+_STUCK_ROWS, _CHANCE = 10, 1e-6
 # ... while the robot turned [rad] and drove [m] so far in all. A rounded reading stays the same along a wall; a robot
 # that turns by a radian as well sees another distance or bearing.
 _STUCK_TURN, _STUCK_DISTANCE = 1.0, 0.5
+# Rows are repeated when that happens so many times as often as by rounding.
+_TIMES_CHANCE = 10.0
 # No room is so much smaller than the reach of the sensor that is used in it.
 _REACH_TO_MAP = 50.0
 
@@ -173,7 +175,7 @@ def _stuck(log: LogArrays) -> Iterator[Finding]:
         breaks = np.flatnonzero(np.diff(values[rows]) != 0.0) + 1
         runs = np.split(rows, breaks)
         run = max(runs, key=len)
-        if len(run) < _STUCK_ROWS:
+        if len(run) < _STUCK_ROWS or not _beyond_chance(runs, len(run)):
             continue
         far = travelled[run[-1]] - travelled[run[0]], turned[run[-1]] - turned[run[0]]
         if far[0] > _STUCK_DISTANCE and far[1] > _STUCK_TURN:
@@ -188,17 +190,34 @@ def _stuck(log: LogArrays) -> Iterator[Finding]:
             return
 
 
+def _beyond_chance(runs: list[NDArray[np.int64]], longest: int) -> bool:
+    """Tell whether a run of equal readings is longer than coarse rounding makes them.
+
+    Outside the longest run, neighbours are equal with a probability p, estimated with Jeffreys' prior. Among n readings
+    a run of length L then begins with a probability of n p^(L - 1) at most.
+    """
+    n = sum(map(len, runs))
+    pairs = n - longest
+    equal = pairs - (len(runs) - 1)
+    p = (equal + 0.5) / (pairs + 1.0)
+    return bool(np.log(n) + (longest - 1) * np.log(p) < np.log(_CHANCE))
+
+
 def _stale(log: LogArrays) -> Iterator[Finding]:
     """Whole rows of readings that are repeated bit for bit while the robot moves."""
     table = np.stack([values for _, _, values in _channels(log)], axis=1)
     known = ~np.isnan(table)
     distance, turn, _ = _moves(log)
     moving = (distance > 0.0) | (turn > 0.0)
-    # One rounded reading may well come twice; three and more at once do not.
     comparable = moving & (known[1:].sum(axis=1) >= 2) & (known[:-1].sum(axis=1) >= 2)
     same = comparable & ((table[1:] == table[:-1]) | (~known[1:] & ~known[:-1])).all(axis=1)
     n_same, n_rows = int(same.sum()), int(comparable.sum())
-    if n_same >= 5 and n_same > 0.05 * n_rows:
+    # Rounded readings come twice by chance: as often, each by itself, as in rows that are not repeated as a whole.
+    both = known[1:] & known[:-1]
+    others = both & (comparable & ~same)[:, None]
+    share = ((others & (table[1:] == table[:-1])).sum() + 0.5) / (others.sum() + 1.0)
+    by_chance = float(np.sum(share ** both[comparable].sum(axis=1)))
+    if n_same > 0.05 * n_rows and n_same > _TIMES_CHANCE * (by_chance + 0.5):
         row = int(np.flatnonzero(same)[0]) + 1
         yield Finding(
             "stale-readings",

@@ -26,9 +26,9 @@ __all__ = ["checked_logs", "disagreements", "preflight", "require_rows"]
 Float = NDArray[np.float64]
 
 # Rows that are looked at, and particles for each way to read the log and each pair of noise levels. A robot that may
-# be anywhere needs more particles, and then fewer rows do.
+# be anywhere needs more particles, and then fewer rows do; rays cost more than landmarks, and rooms are smaller.
 _ROWS, _PARTICLES = 160, 200
-_ROWS_ANYWHERE, _PARTICLES_ANYWHERE = 100, 2000
+_ROWS_ANYWHERE, _PARTICLES_ANYWHERE, _PARTICLES_IN_WALLS = 100, 2000, 500
 # The best mistake and the log as it is are compared again, by so many times the particles.
 _FINER = 5
 # Chance of naming some mistake in a sound log that the model describes, by the union bound and Ville's inequality, on
@@ -121,7 +121,8 @@ def disagreements(log: RobotLog, model: RobotModel | None = None, known: set[str
     stretch = stretch_of(log, _ROWS_ANYWHERE if anywhere else _ROWS)
     if stretch.rows.size < _LEAST_ROWS:
         return ()
-    particles = _PARTICLES_ANYWHERE if anywhere else _PARTICLES
+    unknown = _PARTICLES_IN_WALLS if log.ranges is not None else _PARTICLES_ANYWHERE
+    particles = unknown if anywhere else _PARTICLES
     noise = _usual_noise(log, model)
     found = _mistake(log, stretch, noise, particles)
     return tuple(finding for finding in found if finding.name not in (known or set()))

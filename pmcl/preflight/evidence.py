@@ -35,6 +35,8 @@ between 0.12 and 2.8."""
 _START_FACTOR = 2.0
 # Readings of the log that fall so far behind the best [nat] do not come back within the rows that are left.
 _HOPELESS = 40.0
+# The same where the start is not known: which particles happen to be near the robot decides the first rows [nat].
+_HOPELESS_ANYWHERE = 200.0
 # Noise levels of one reading of the log, of which the better ones make up the mean [nat].
 _NEGLIGIBLE = 20.0
 _ROWS_BETWEEN_CUTS = 5
@@ -117,6 +119,7 @@ def evidence_of(
     sensors = Sensors(log, ways, noise)
     level = np.array(LEVELS)
     groups = _started(log, ways, particles, rng)
+    hopeless = _HOPELESS if np.isfinite(log.start_std).all() else _HOPELESS_ANYWHERE
     rows = np.full((n_ways, n_rows), np.nan)
     before = np.zeros(n_ways)
     for k in range(n_rows):
@@ -132,7 +135,8 @@ def evidence_of(
         rows[alive, k] = now - before[alive]
         before[alive] = now
         if k % _ROWS_BETWEEN_CUTS == _ROWS_BETWEEN_CUTS - 1 and n_ways > 1:
-            groups = groups.kept(_worth_going_on(groups, dict(zip(alive.tolist(), now.tolist(), strict=True))))
+            reached = dict(zip(alive.tolist(), now.tolist(), strict=True))
+            groups = groups.kept(_worth_going_on(groups, reached, hopeless))
     levels = np.full((len(LEVELS), len(LEVELS)), -np.inf)
     plain = groups.way == 0
     levels[groups.motion[plain], groups.sensor[plain]] = groups.total[plain]
@@ -243,13 +247,13 @@ def _resampled(groups: _Groups, weight: Float, rng: np.random.Generator) -> _Gro
     return groups._replace(x=groups.x.ravel()[index], y=groups.y.ravel()[index], heading=groups.heading.ravel()[index])
 
 
-def _worth_going_on(groups: _Groups, now: dict[int, float]) -> NDArray[np.bool_]:
+def _worth_going_on(groups: _Groups, now: dict[int, float], hopeless: float) -> NDArray[np.bool_]:
     """Tell which groups may still matter (G,); all of the log as it is do."""
     leading = max(now.values())
     best = {way: groups.total[groups.way == way].max() for way in now}
     return np.array(
         [
-            way == 0 or (now[way] > leading - _HOPELESS and total > best[way] - _NEGLIGIBLE)
+            way == 0 or (now[way] > leading - hopeless and total > best[way] - _NEGLIGIBLE)
             for way, total in zip(groups.way.tolist(), groups.total.tolist(), strict=True)
         ]
     )

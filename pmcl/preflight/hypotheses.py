@@ -299,13 +299,3 @@ def _changed_maps(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
         yield replace(shrunk, with_start=True)
         if placed:
             yield shrunk
-        yield replace(
-            shrunk,
-            name=f"lengths-in-{unit}",
-            finding=f"all lengths seem to be in {unit}",
-            advice=f"multiply map, readings, odometry and start by {factor:g}",
-            with_start=True,
-            range_factor=factor,
-            max_range_factor=factor,
-            odometry=plain.odometry * (factor, factor, 1.0),
-        )

@@ -68,7 +68,7 @@ def test_sound_logs_pass(robot):
     assert preflight(LOGS[robot]()) == ()
 
 
-@pytest.mark.parametrize(("robot", "name"), _cases())
+@pytest.mark.parametrize(("robot", "name"), list(_cases()))
 def test_mistake_is_named(robot, name):
     change = mistakes.mistakes_of(LOGS[robot]())[name]
     if (robot, name) == ("amigobot", "map-mirrored (y axis)"):
