@@ -191,7 +191,9 @@ class RobotLog(LogArrays):
         }
         log = cls(assemble(arrays, {**(attributes or {}), **stated}, where, names), where)
         if warn:
-            warn_of((*implausible(log), *without_map(log)), where)
+            # Arrays of its own, so that the log's are not made before they are asked for.
+            arrays_of_log = LogArrays(log.dataset, where)
+            warn_of((*implausible(arrays_of_log), *without_map(arrays_of_log)), where)
         return log
 
     def require_map(self) -> None:
