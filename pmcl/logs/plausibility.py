@@ -205,7 +205,10 @@ def _beyond_chance(runs: list[NDArray[np.int64]], longest: int) -> bool:
 
 def _stale(log: LogArrays) -> Iterator[Finding]:
     """Whole rows of readings that are repeated bit for bit while the robot moves."""
-    table = np.stack([values for _, _, values in _channels(log)], axis=1)
+    channels = [values for _, _, values in _channels(log)]
+    if not channels:
+        return
+    table = np.stack(channels, axis=1)
     known = ~np.isnan(table)
     distance, turn, _ = _moves(log)
     moving = (distance > 0.0) | (turn > 0.0)

@@ -1,6 +1,6 @@
 """How well each way to read a log explains it: a particle filter for all of them at once, with wide and robust noise.
 
-The evidence of a reading of the log is the mean over nine pairs of noise levels of what a bootstrap filter estimates,
+The evidence of a way to read the log is the mean over nine pairs of noise levels of what a bootstrap filter estimates,
 so a log that is only noisy has its explanation. Densities are of the numbers as they stand in the file: what reads
 them in another unit carries the factor of that unit. The evidences of two ways to read one log can therefore be
 compared, and under the right one the ratio of a wrong one to it is a nonnegative martingale over the rows of
@@ -33,11 +33,11 @@ between 0.12 and 2.8."""
 
 # How much wider than stated the start may be: robots are placed less exactly than people believe.
 _START_FACTOR = 2.0
-# Readings of the log that fall so far behind the best [nat] do not come back within the rows that are left.
+# Ways to read the log that fall so far behind the best [nat] do not come back within the rows that are left.
 _HOPELESS = 40.0
 # The same where the start is not known: which particles happen to be near the robot decides the first rows [nat].
 _HOPELESS_ANYWHERE = 200.0
-# Noise levels of one reading of the log, of which the better ones make up the mean [nat].
+# Noise levels that fall so far behind the best one of their way to read the log no longer count in the mean [nat].
 _NEGLIGIBLE = 20.0
 _ROWS_BETWEEN_CUTS = 5
 # How far beyond the outermost landmark a robot may start [m].

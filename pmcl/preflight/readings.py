@@ -71,7 +71,8 @@ class Sensors:
             self.size_constant = log.size_at_one_metre or 1.0
             largest = 0.0 if log.landmark_size is None else np.nanmax(log.landmark_size, initial=0.0)
             self.largest_size = max(self.size_constant, float(largest))
-        if log.ranges is not None and log.walls is not None:
+        self.has_beams = log.ranges is not None and log.walls is not None
+        if self.has_beams:
             self._take_beams(log, ways)
 
     def _take_beams(self, log: LogArrays, ways: Sequence[Hypothesis]) -> None:
@@ -112,7 +113,7 @@ class Sensors:
         total = np.zeros_like(x)
         if read.landmark.size:
             total += self._sightings(read, way, level, x, y, heading)
-        if read.beam.size and hasattr(self, "vertices"):
+        if read.beam.size and self.has_beams:
             total += self._echoes(read, way, level, x, y, heading)
         return total
 

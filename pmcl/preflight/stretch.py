@@ -97,9 +97,11 @@ def _readings(log: LogArrays, row: int, sighted: NDArray[np.bool_], measured: ND
     landmarks = _some(np.flatnonzero(sighted), _SIGHTINGS)
     beams = _some(np.flatnonzero(measured), _BEAMS)
     nothing = np.full(landmarks.size, np.nan)
+    # A size tells nothing where nobody says how large a landmark appears.
+    size = None if log.size_at_one_metre is None else log.landmark_size
     columns = [
         nothing if table is None else table[row, landmarks]
-        for table in (log.landmark_range, log.landmark_bearing, log.landmark_size)
+        for table in (log.landmark_range, log.landmark_bearing, size)
     ]
     lengths = np.empty(0) if log.ranges is None else log.ranges[row, beams]
     return RowReadings(landmarks, columns[0], columns[1], columns[2], beams, lengths)
