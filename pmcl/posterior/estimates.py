@@ -1,4 +1,4 @@
-"""What a filter, or a reader, takes from the posterior: its mean, its draw of greatest density, draws, the mean path."""
+"""What a filter, or a reader, takes from the posterior: mean, draw of greatest density, draws, mean path."""
 
 from __future__ import annotations
 
