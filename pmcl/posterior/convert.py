@@ -27,6 +27,16 @@ Float = NDArray[np.float64]
 # Points at which the density of each prior is kept, so that a report can draw it without the model.
 _PRIOR_POINTS = 201
 _POSE = ["x", "y", "heading"]
+# Units and meaning of what a run says about its moves; those of other names are shares without a unit.
+_STATISTICS = {
+    "acceptance_rate": ("1", "share of accepted Metropolis proposals"),
+    "transport_walk_acceptance_rate": ("1", "share of accepted random walks of theta that carry the path along"),
+    "transport_jump_rate": ("1", "share of accepted independent proposals of theta that carry the path along"),
+    "path_block_redraw_rate": ("1", "share of blocks of the path that were redrawn"),
+    "path_update_rate": ("1", "share of rows of the path that a sweep changes"),
+    "particle_ess": ("1", "effective particles, mean over rows"),
+    "log_evidence": ("nat", "particle filter's estimate of the log evidence"),
+}
 
 
 class ParameterLike(Protocol):
@@ -93,6 +103,9 @@ def to_arviz(
     _check_chains(chains, parameters)
     _check_trajectories(chains, logs)
     observed, constant = log_groups(logs)
+    for parameter in parameters:
+        if f"true_{parameter.name}" in constant:
+            constant[f"true_{parameter.name}"].attrs = {**_labels(parameter), "long_name": f"true {parameter.name}"}
     attrs = _attributes(chains, logs)
     groups = {
         "posterior": _theta(chains.theta, parameters).assign_attrs(attrs),
@@ -139,9 +152,10 @@ def _trajectories(chains: Chains, logs: Sequence[LogLike]) -> xr.Dataset:
             variables[f"extra_state{suffix}"] = xr.DataArray(
                 states[..., 3:],
                 dims=(*dims, "extra"),
-                attrs={"long_name": "states beyond the pose, such as a drifting gyro bias"},
+                attrs={"units": "of the state", "long_name": "states beyond the pose, such as a drifting gyro bias"},
             )
-        coords[f"time{suffix}"] = ((f"time{suffix}",), np.asarray(log.dataset["time"].values), {"units": "s"})
+        times = np.asarray(log.dataset["time"].values)
+        coords[f"time{suffix}"] = ((f"time{suffix}",), times, {"units": "s", "long_name": "time"})
         coords |= {"trajectory_draw": chains.trajectory_draw, "pose": _POSE, "chain": np.arange(chains.n_chains)}
     return xr.Dataset(variables, coords=coords)
 
@@ -150,7 +164,8 @@ def _statistics(chains: Chains) -> xr.Dataset:
     dataset = _log_joint(chains.log_joint)
     for name, values in chains.statistics.items():
         dims = ("chain", "draw") if values.ndim == 2 else ("chain", "draw", "parameter")
-        dataset[name] = xr.DataArray(values, dims=dims)
+        units, long_name = _STATISTICS.get(name, ("1", name.replace("_", " ")))
+        dataset[name] = xr.DataArray(values, dims=dims, attrs={"units": units, "long_name": long_name})
     if "parameter" in dataset.dims:
         dataset = dataset.assign_coords(parameter=list(chains.names))
     return dataset
@@ -189,7 +204,10 @@ def _prior_density(theta: Float, parameters: Sequence[ParameterLike]) -> xr.Data
     density = np.where(np.isfinite(density), density, np.nan)
     dims = ("parameter", "prior_point")
     return xr.Dataset(
-        {"prior_grid": (dims, grid), "prior_density": (dims, density)},
+        {
+            "prior_grid": (dims, grid, {"units": "of the parameter", "long_name": "values of the parameter"}),
+            "prior_density": (dims, density, {"units": "1 / unit of the parameter", "long_name": "prior density"}),
+        },
         coords={"parameter": [parameter.name for parameter in parameters]},
     )
 

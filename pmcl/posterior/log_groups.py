@@ -13,13 +13,12 @@ from typing import Protocol
 import numpy as np
 import xarray as xr
 
+from pmcl.logs.schema import READINGS, VARIABLES
+
 __all__ = ["LogLike", "agreed_truth", "log_groups", "reading_kinds", "suffixes_for"]
 
 # Dimensions that mean the same in every log.
 _SHARED_DIMS = frozenset({"increment", "pose", "xy", "end"})
-# Variables over time that the model takes as given, or never reads.
-_NOT_READ = frozenset({"odometry", "true_pose"})
-_UNITS = {"range": "m", "landmark_range": "m", "landmark_bearing": "rad", "landmark_size": "pixel"}
 
 
 class LogLike(Protocol):
@@ -53,7 +52,7 @@ def suffixes_for(n_logs: int) -> tuple[str, ...]:
 
 
 def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
-    """Name the variables of a log that hold readings: one value for each time and channel, NaN where none was taken.
+    """Name the variables of a log that hold readings, one value for each time and channel, NaN where none was taken.
 
     Parameters
     ----------
@@ -64,11 +63,7 @@ def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    return tuple(
-        str(name)
-        for name, values in dataset.data_vars.items()
-        if values.ndim == 2 and values.dims[0] == "time" and name not in _NOT_READ
-    )
+    return tuple(kind for kind in READINGS if kind in dataset)
 
 
 def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
@@ -115,9 +110,9 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
     readings = np.minimum(values.values[row, column], float(values.attrs.get("max_range", np.inf)))
     coords = {
         f"{kind}_time{suffix}": (dims, values["time"].values[row], {"units": "s", "long_name": "time"}),
-        f"{kind}_{channel}{suffix}": (dims, numbers[column]),
+        f"{kind}_{channel}{suffix}": (dims, numbers[column], {"units": "1", "long_name": channel}),
     }
-    attrs = {"units": _UNITS.get(kind, ""), "long_name": f"measured {kind.replace('_', ' ')}", **values.attrs}
+    attrs = {**values.attrs, "units": VARIABLES[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
     return xr.DataArray(readings, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
 
 

@@ -33,8 +33,8 @@ Float = NDArray[np.float64]
 _DRAWS_PER_CHAIN = 25
 # Long logs get fewer draws, so that each group holds at most so many values (16 MB).
 _MOST_VALUES = 2_000_000
-# Readings times particles times draws: some 2 s of one core.
-_BUDGET = 1.5e8
+# Readings times particles times draws: 1 to 2 s of one core (2.5 GHz Xeon).
+_BUDGET = 1e8
 _PARTICLES = (100, 1000)
 
 

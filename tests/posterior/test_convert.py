@@ -39,6 +39,15 @@ def test_trajectory_has_its_own_draws_and_wrapped_headings(case, data):
     np.testing.assert_allclose(np.exp(1j * stored.values[..., 2]), np.exp(1j * raw[..., 2]), atol=1e-12)
 
 
+def test_every_variable_says_its_unit_and_meaning(data):
+    for group in set(group_names(data)) - {"constant_data"}:
+        for name, values in find_group(data, group).data_vars.items():
+            assert values.attrs.get("units"), f"{name} of {group}"
+            assert values.attrs.get("long_name"), f"{name} of {group}"
+    truth = find_group(data, "constant_data")["true_sigma_turn"]
+    assert truth.attrs == {"units": "rad", "long_name": "true sigma_turn"}
+
+
 def test_the_chains_are_left_as_they_were():
     case = fake_case(n_draws=20)
     before = case.chains.trajectories[0].copy()
