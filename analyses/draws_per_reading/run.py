@@ -42,7 +42,7 @@ def experiment(known, *, logs, duration, repetitions, particles, draws, ks):
             continue
         train = pmcl.simulate_amigobot(CALIBRATION, 2 * index)
         test = pmcl.simulate_amigobot(duration, 2 * index + 1, train.true_theta)
-        posterior = pmcl.calibrate(train, draws=draws, chains=2, seed=index)
+        posterior = pmcl.calibrate(train, draws=draws, chains=2, seed=index, check=False)
         for name, k, method, options in open_ways:
             settings = {"particles": particles, "options": options}
             pmcl.localize_many(test, None, posterior, method, repetitions=1, **settings)  # compile

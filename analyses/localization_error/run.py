@@ -161,6 +161,7 @@ def calibrate(robot: str, calibration: int, path: Path, sizes: Sizes) -> None:
         burn_in_particles=sizes.burn_in_particles,
         seed=SAMPLING_SEED + calibration,
         trajectories=1,
+        check=False,
     )
     chosen = np.linspace(0, sizes.draws - 1, min(STORED_DRAWS, sizes.draws)).astype(int)
     densities = log_joint(data)

@@ -57,6 +57,7 @@ def calibrate(robot: str, seconds: int, kernel: str, particles: int, draws: int)
         sweeps_per_draw=1 if kernel == "smoothing" else 2,
         burn_in_particles=200,
         seed=SEED + 1,
+        check=False,
     )
     return {
         "theta": theta_draws(data).astype(np.float32),

@@ -119,7 +119,11 @@ def calibrate(
     no_progress: bool,
     **settings: Any,
 ) -> None:
-    """Draw from the posterior of a robot's noise parameters, given one or several logs of it."""
+    """Draw from the posterior of a robot's noise parameters, given one or several logs of it.
+
+    Ends with a check of the calibrated model on these logs. Exit status: 0 all is well, 3 the chains have not
+    converged, 4 they have, but readings and model disagree. The posterior is written in each case.
+    """
     if output is None and not print_model:
         raise click.UsageError("Missing option '-o' / '--output'", ctx)
     if model_file is not None and outliers:

@@ -37,7 +37,10 @@ _DRAWS = 600
 @progress_option()
 @click.pass_context
 def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None:
-    """Simulate the paper's Amigobot, calibrate it, and write log, posterior, report and picture."""
+    """Simulate the paper's Amigobot, calibrate it, and write log, posterior, report and picture.
+
+    Exit status as of 'pmcl calibrate'.
+    """
     from pmcl.posterior.calibrate import calibrate
     from pmcl.posterior.files import replacing, write_posterior
     from pmcl.reports.figures import plot_pair

@@ -20,7 +20,10 @@ __all__ = ["report", "tell"]
 @click.argument("posterior", metavar="POSTERIOR.nc")
 @output_option("The page to write (HTML, one file).")
 def report(posterior: str, output: Path) -> None:
-    """Write one self-contained page about a posterior: verdict, table, figures, settings."""
+    """Write one self-contained page about a posterior: verdict, table, figures, settings.
+
+    Exit status 0 when the page is written, whatever the verdict says.
+    """
     from pmcl.posterior.diagnostics import verdict
     from pmcl.posterior.files import read_posterior
     from pmcl.reports.posterior_report import write_report
@@ -32,7 +35,7 @@ def report(posterior: str, output: Path) -> None:
 
 
 def tell(data: Posterior) -> int:
-    """Print table and verdict of a posterior; return the exit status that they mean."""
+    """Print table and verdict of a posterior; return the exit status that both halves of the verdict mean."""
     from pmcl.posterior.diagnostics import summarize, verdict
     from pmcl.reports.tables import summary_text
 

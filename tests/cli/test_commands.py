@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import signal
@@ -11,10 +12,13 @@ import time
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import pmcl
+from pmcl.cli.report import tell
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.access import parameter_names, true_theta
+from pmcl.posterior.compat import assemble
 from pmcl.posterior.files import read_posterior
 from pmcl.posterior.settings import settings
 from pmcl.sampling.checkpoint import fingerprint
@@ -110,6 +114,20 @@ def test_calibrate_writes_a_posterior_and_says_that_it_has_not_converged(run, lo
     assert made.exit_code == 0, made.output
     assert "Not converged" in made.stdout
     assert "sigma_range" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("spread", "adequate", "status"), [(0.0, 1, 0), (0.0, None, 0), (0.0, 0, 4), (1.0, 1, 3), (1.0, 0, 3)]
+)
+def test_the_exit_status_tells_both_halves_of_the_verdict(spread, adequate, status, capsys):
+    draws = np.random.default_rng(1).normal(size=(4, 1000)) + spread * np.arange(4)[:, None]
+    groups = {"posterior": xr.Dataset({"sigma_range": (("chain", "draw"), draws)})}
+    if adequate is not None:
+        finding = {"name": "spread", "log": 0, "message": "ranges scatter more than the model says"}
+        attrs = {"adequate": adequate, "p_value": 0.5, "readings": 9, "findings": json.dumps([finding])}
+        groups["predictive_check"] = xr.Dataset({"residual_range": ("time", np.zeros(9))}, attrs=attrs)
+    assert tell(assemble(groups, {})) == status
+    assert ("readings and model disagree" in capsys.readouterr().out) == (adequate == 0)
 
 
 def test_the_model_file_and_several_logs_reach_the_sampler(run, log_file, tmp_path):
