@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from pmcl.cli.application import DOES_NOT_FIT
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.posterior.access import trajectory_draws
@@ -16,10 +17,10 @@ from pmcl.posterior.diagnostics import summarize
 from pmcl.posterior.files import read_posterior
 
 
-def run(*arguments) -> None:
+def run(*arguments, status: int = 0) -> None:
     command = [sys.executable, "-c", "from pmcl.cli import main; main()", *map(str, arguments)]
     finished = subprocess.run(command, capture_output=True, text=True)
-    assert finished.returncode == 0, finished.stderr
+    assert finished.returncode == status, finished.stderr
 
 
 def path_error(data, log: RobotLog) -> tuple[float, float]:
@@ -44,7 +45,8 @@ def test_a_recorded_robot_is_calibrated(shared_data, tmp_path, capsys, source, f
     log_file, posterior_file = tmp_path / "run.nc", tmp_path / "post.nc"
     run("convert", source, shared_data / folder, *options, "-o", log_file)
     began = time.perf_counter()
-    run("calibrate", log_file, "-o", posterior_file)
+    # The chains converge, and the default model does not fit: errors of the camera and of the laser last.
+    run("calibrate", log_file, "-o", posterior_file, status=DOES_NOT_FIT)
     seconds = time.perf_counter() - began
     data, log = read_posterior(posterior_file), RobotLog.read(log_file)
     summary = summarize(data)
