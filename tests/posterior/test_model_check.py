@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy import stats
 import pmcl
 from pmcl.criticism.fit import THOROUGH, quick_fit
 from pmcl.filtering.particle_filter import make_rng, run_filter
+from pmcl.filtering.predictive import predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.access import theta_draws
@@ -19,7 +21,9 @@ from pmcl.posterior.diagnostics import verdict
 from pmcl.posterior.log_groups import reading_kinds
 from pmcl.posterior.model_check import LEVEL, check_model
 from pmcl.posterior.predictive_check import check_group
+from pmcl.posterior.predictive_draws import _replicated
 from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.robots.simulate import simulate_readings
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -189,6 +193,46 @@ def test_densities_add_up_to_the_evidence(calibrated):
     # Fewer particles make the estimate noisier, and lower by half its variance.
     assert abs(np.mean(difference)) < 5.0 * np.std(difference, ddof=1) / np.sqrt(12) + 0.5 * np.var(difference, ddof=1)
     assert np.std(difference) < 2.0, "so that another draw's density would be noticed"
+
+
+def test_each_density_belongs_to_its_reading(calibrated):
+    """Means over draws go with the densities under the posterior mean, reading by reading."""
+    log, data = calibrated
+    bound = default_model(log).bind(log)
+    made = predict_readings(bound.tables(theta_draws(data).mean(axis=(0, 1)))[0], log.n_steps, 2000, make_rng(1))
+    for number, (name, values) in enumerate(find_group(data, "log_likelihood").data_vars.items()):
+        mine = made.kind == made.kinds.index(name)
+        order = np.lexsort((made.channel[mine], made.time[mine]))
+        assert made.kinds[number + 1] == name, "bearings and sizes, after the distances that this robot does not read"
+        mean = values.astype(float).mean(dim=("chain", "draw"))
+        assert np.corrcoef(mean, made.log_score[mine][order])[0, 1] > 0.9
+
+
+class Probe(NamedTuple):
+    """A sensor table whose simulation only notes the path that it was given."""
+
+    paths: list
+
+
+@simulate_readings.register
+def _(table: Probe, path: np.ndarray, rng: np.random.Generator) -> Probe:
+    table.paths.append(path)
+    return table
+
+
+def test_each_replicated_row_follows_a_particle_and_its_ancestor():
+    log = pmcl.simulate_aibo(30.0, 4)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    made = predict_readings(tables, log.n_steps, 50, make_rng(1))
+    probe = Probe([])
+    _replicated(log, tables._replace(sensors=(probe,)), made, make_rng(2))
+    even, odd = probe.paths
+    for t in range(1, log.n_steps):
+        path = odd if t % 2 else even
+        (particle,) = np.flatnonzero((path[t] == made.filtered.particles[t].T).all(axis=1))
+        ancestor = made.filtered.ancestors[t, particle]
+        np.testing.assert_array_equal(path[t - 1], made.filtered.particles[t - 1, :, ancestor])
 
 
 def test_arviz_compares_predictions_with_readings(calibrated):
