@@ -6,14 +6,19 @@ that other programs wrote through ArviZ can be read too.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.errors import PosteriorError
+from pmcl.logs.schema import LANDMARK_READINGS, READINGS
 from pmcl.posterior.compat import Posterior, find_group
 
 __all__ = [
+    "LogContents",
+    "log_contents",
     "log_joint",
     "log_suffixes",
     "parameter_draws",
@@ -25,6 +30,21 @@ __all__ = [
 ]
 
 Float = NDArray[np.float64]
+
+
+class LogContents(NamedTuple):
+    """How much a log held.
+
+    Attributes
+    ----------
+    times : ndarray, shape (T,)
+        Times of its rows [s].
+    readings : int
+        Ranges and sightings; distance, bearing and size of one sighting count once.
+    """
+
+    times: Float
+    readings: int
 
 
 def parameter_names(data: Posterior) -> tuple[str, ...]:
@@ -163,11 +183,58 @@ def log_suffixes(data: Posterior) -> tuple[str, ...]:
     tuple of str
         Empty when the posterior holds no trajectories.
     """
-    names = [str(name) for name in _trajectories(data).data_vars]
+    return _endings(_trajectories(data), "trajectory")
+
+
+def _endings(group: xr.Dataset, variable: str) -> tuple[str, ...]:
+    names = [str(name) for name in group.data_vars]
     # By number, since "_10" comes before "_2" in the alphabet.
-    endings = {name.removeprefix("trajectory") for name in names if name.startswith("trajectory")}
+    endings = {name.removeprefix(variable) for name in names if name.startswith(variable)}
     numbered = sorted(int(ending[1:]) for ending in endings if ending[:1] == "_" and ending[1:].isdecimal())
     return (*([""] if "" in endings else []), *(f"_{number}" for number in numbered))
+
+
+def log_contents(data: Posterior) -> tuple[LogContents, ...]:
+    """Tell how much each log held that the posterior was inferred from.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+
+    Returns
+    -------
+    tuple of LogContents
+        Empty for a posterior of another program.
+    """
+    observed, constant = find_group(data, "observed_data"), find_group(data, "constant_data")
+    # Files of older versions hold odometry, and readings over time and channel, in the group observed_data.
+    given = next((group for group in (constant, observed) if any(map(_is_odometry, group.data_vars))), None)
+    if given is None:
+        return ()
+    contents = []
+    for suffix in _endings(given, "odometry"):
+        seen: set[tuple[str, float, object]] = set()
+        for kind in READINGS:
+            if (name := f"{kind}{suffix}") in observed:
+                of_landmarks = "landmark" if kind in LANDMARK_READINGS else kind
+                seen |= {(of_landmarks, *where) for where in _measured_places(observed[name], kind, suffix)}
+        times = np.asarray(given[f"time{suffix}"].values, dtype=np.float64)
+        contents.append(LogContents(times, len(seen)))
+    return tuple(contents)
+
+
+def _is_odometry(name: object) -> bool:
+    return str(name).startswith("odometry")
+
+
+def _measured_places(readings: xr.DataArray, kind: str, suffix: str) -> list[tuple[float, object]]:
+    """Give time and channel of each reading that was measured."""
+    if readings.ndim == 2:
+        row, column = np.nonzero(~np.isnan(readings.values))
+        return list(zip(readings[readings.dims[0]].values[row].tolist(), column.tolist(), strict=True))
+    channel = "landmark" if kind in LANDMARK_READINGS else "beam"
+    places = (readings[f"{kind}_{name}{suffix}"].values.tolist() for name in ("time", channel))
+    return list(zip(*places, strict=True))
 
 
 def trajectory_draws(data: Posterior, log: int = 0) -> xr.DataArray:

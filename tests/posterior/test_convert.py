@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import stats
 from synthetic_posterior import NAMES, TRUTH, fake_case, fake_log
 
 from pmcl.errors import PosteriorError
-from pmcl.posterior.access import log_suffixes, parameter_names, parameter_units, true_theta
-from pmcl.posterior.compat import find_group, group_names
+from pmcl.posterior.access import log_contents, log_suffixes, parameter_names, parameter_units, true_theta
+from pmcl.posterior.compat import assemble, find_group, group_names
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.settings import decode_setting, encode_setting, settings
 
@@ -116,6 +117,30 @@ def test_readings_are_observed_and_the_rest_is_constant(case, data):
     np.testing.assert_array_equal(constant["start_std"], [np.inf, np.inf, np.inf])
     assert true_theta(data) == TRUTH
     assert constant["true_sigma_turn"].ndim == 0
+
+
+@pytest.mark.parametrize("landmarks", [True, False])
+def test_what_logs_held_is_told_from_new_and_old_files(landmarks):
+    case = fake_case(n_draws=20, n_logs=2, landmarks=landmarks)
+    first = case.logs[0].dataset
+    if landmarks:
+        first["landmark_bearing"] = first["landmark_range"].where(first["time"] > 10.0)
+    data = to_arviz(case.chains, case.parameters, case.logs)
+    found = log_contents(data)
+    assert [one.readings for one in found] == ([300, 350] if landmarks else [239, 279])
+    np.testing.assert_array_equal(found[1].times, case.logs[1].dataset["time"])
+    older = xr.merge(
+        [
+            log.dataset.drop_vars(["increment", "true_pose"]).rename(
+                {name: f"{name}_{k}" for name in (*log.dataset.data_vars, "time") if name != "true_pose"}
+            )
+            for k, log in enumerate(case.logs)
+        ],
+        combine_attrs="drop", compat="override", join="outer",
+    )  # fmt: skip
+    again = log_contents(assemble({"posterior": find_group(data, "posterior"), "observed_data": older}, {}))
+    assert [one.readings for one in again] == [one.readings for one in found]
+    assert log_contents(assemble({"posterior": find_group(data, "posterior")}, {})) == ()
 
 
 def test_a_log_without_truth_has_none():
