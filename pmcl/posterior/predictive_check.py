@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pmcl.errors import FilterError, ModelError
+from pmcl.errors import PmclError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel
 from pmcl.posterior.access import theta_draws
@@ -49,14 +49,16 @@ def checked(data: Posterior, bound: BoundModel, seed: int) -> Posterior:
         Groups are left out, with a line in the log ``pmcl``, where sensors or filter do not allow them.
     """
     theta = theta_draws(data)
-    result = check_model(bound, theta.mean(axis=(0, 1)), seed)
     groups: dict[str, xr.Dataset] = {}
-    if result.adequate is not None:
-        groups["predictive_check"] = check_group(result, bound.logs)
+    # Whatever goes wrong here, the draws must not be lost.
     try:
+        result = check_model(bound, theta.mean(axis=(0, 1)), seed)
+        if result.adequate is not None:
+            groups["predictive_check"] = check_group(result, bound.logs)
         groups |= predictive_groups(bound, theta, find_group(data, "observed_data"), seed)
-    except (FilterError, ModelError) as error:
-        _logger.info("posterior_predictive and log_likelihood are left out: %s", error)
+    except PmclError as error:
+        left_out = "the check of the model and " if not groups else ""
+        _logger.warning("%slog_likelihood and posterior_predictive are left out: %s", left_out, error)
     with_groups = extended(data, groups, {})
     judged = verdict(with_groups)
     attrs: dict[str, Any] = {"converged": int(judged.converged), "verdict": judged.message}

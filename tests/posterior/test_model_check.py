@@ -11,12 +11,14 @@ from scipy import stats
 
 import pmcl
 from pmcl.criticism.fit import THOROUGH, quick_fit
+from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.filtering.predictive import predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
+from pmcl.posterior import predictive_check
 from pmcl.posterior.access import theta_draws
-from pmcl.posterior.compat import attributes, extended, find_group
+from pmcl.posterior.compat import assemble, attributes, extended, find_group, group_names
 from pmcl.posterior.diagnostics import verdict
 from pmcl.posterior.log_groups import reading_kinds
 from pmcl.posterior.model_check import LEVEL, check_model
@@ -106,6 +108,20 @@ def test_a_lost_robot_is_a_finding_with_its_time():
     group = check_group(found, (log,))
     assert group.attrs["adequate"] == 0
     assert json.loads(group.attrs["findings"])[0]["name"] == "lost"
+
+
+def test_what_goes_wrong_in_the_check_loses_no_draws(calibrated, monkeypatch, caplog):
+    log, data = calibrated
+
+    def fail(*_):
+        raise FilterError("a density is not a number")
+
+    monkeypatch.setattr(predictive_check, "check_model", fail)
+    plain = {name: find_group(data, name) for name in group_names(data) if name != "predictive_check"}
+    found = predictive_check.checked(assemble(plain, {}), default_model(log).bind(log), 1)
+    assert verdict(found).adequate is None
+    assert "the check of the model and log_likelihood" in caplog.text
+    np.testing.assert_array_equal(theta_draws(found), theta_draws(data))
 
 
 def test_too_few_readings_tell_nothing():
