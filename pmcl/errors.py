@@ -50,7 +50,11 @@ def did_you_mean(given: str, known: Iterable[str], otherwise: str) -> str:
 
 
 class PmclError(ValueError):
-    """Base class of the errors that pmcl raises about its input."""
+    """Base class of the errors that pmcl raises about its input; the message is always one line."""
+
+    def __init__(self, message: str = "") -> None:
+        # A path, a label or another library's message may hold line breaks.
+        super().__init__(" ".join(message.split()))
 
 
 class LogError(PmclError):

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.checks import check_flag, check_number, check_seed, check_type, check_whole
 from pmcl.comparison.curves import Curve, Reference, learning_curve, reference_of
 from pmcl.comparison.methods import Method, as_methods, draw
-from pmcl.errors import PmclError, SamplingError
+from pmcl.errors import ModelError, PmclError, SamplingError
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
@@ -159,11 +160,12 @@ def compare(
         the reference cannot start. A method that cannot is no error, but one of the result's `failures`.
     """
     wanted = as_methods(methods)
-    if not (0.0 < seconds < np.inf) or chains < 2 or not wanted:
-        raise SamplingError(
-            "expected a positive time, at least two chains and at least one method, but got "
-            f"{seconds:g} s, {chains} chains and {len(wanted)} methods; choose such"
-        )
+    seconds = check_number("seconds", seconds, 0.0, unit="s", open_low=True, error=SamplingError, advice="60 is usual")
+    chains = check_whole("chains", chains, 2, error=SamplingError, advice="4 are usual")
+    seed = check_seed(seed, error=SamplingError)
+    check_flag("progress", progress, error=SamplingError)
+    if model is not None:
+        check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
     bound = (default_model(log) if model is None else model).bind(log)
     known = log.true_theta or {}
     truth = np.array([known[name] for name in bound.names]) if set(bound.names) <= set(known) else None

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pmcl.checks import check_choice, check_type, check_whole
 from pmcl.errors import SamplingError, did_you_mean
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.chains import Chains
@@ -44,6 +45,11 @@ class Method:
 
     name: str
     particles: int
+
+    def __post_init__(self) -> None:
+        """Check the values; raises SamplingError."""
+        check_choice("the name of a method", self.name, tuple(METHODS), error=SamplingError)
+        check_whole("particles of a method", self.particles, 2, error=SamplingError, advice="25 to 1000 are usual")
 
     def __str__(self) -> str:
         return f"{self.name}:{self.particles}"
@@ -143,4 +149,10 @@ def draw(method: Method, bound: BoundModel, chains: int, seed: int, stopwatch: S
 
 def as_methods(methods: str | Sequence[Method]) -> tuple[Method, ...]:
     """Return methods, from text or as they are."""
-    return parse_methods(methods) if isinstance(methods, str) else tuple(methods)
+    if isinstance(methods, str):
+        return parse_methods(methods)
+    advice = "write for example 'conditional:25,ensemble'"
+    check_type("methods", methods, (str, list, tuple), error=SamplingError, advice=advice)
+    if not methods:
+        raise SamplingError(f"expected at least one method, but got none; {advice}")
+    return tuple(check_type("each of methods", one, Method, error=SamplingError, advice=advice) for one in methods)

@@ -10,12 +10,14 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
 from tqdm import tqdm
+
+from pmcl.interrupts import check_interrupt
 
 __all__ = ["Progress", "Watch"]
 
@@ -32,8 +34,6 @@ class Progress:
     ----------
     shown : bool
         Whether anything is told.
-    interrupted : callable, optional
-        Asked before each piece of work; where it returns True the run ends with KeyboardInterrupt.
     live : bool, optional
         Whether to keep one line up to date; on a terminal when left out.
     pause : float
@@ -43,14 +43,12 @@ class Progress:
     def __init__(
         self,
         shown: bool = False,
-        interrupted: Callable[[], bool] | None = None,
         *,
         live: bool | None = None,
         pause: float = _PAUSE,
     ) -> None:
         self.shown, self.pause = shown, pause
         self.live = shown and (sys.stderr.isatty() if live is None else live)
-        self._interrupted = interrupted
         self._began = self._told = time.monotonic()
         self._stage, self._watch = "", None
         self._line: Any = None
@@ -85,8 +83,7 @@ class Progress:
 
     def check(self) -> None:
         """Raise KeyboardInterrupt where somebody asked for an end."""
-        if self._interrupted is not None and self._interrupted():
-            raise KeyboardInterrupt
+        check_interrupt()
 
     @contextmanager
     def watched(self, what: str, names: Sequence[str]) -> Iterator[Watch]:

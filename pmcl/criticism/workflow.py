@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl import defaults
+from pmcl.criticism.arguments import check_arguments
 from pmcl.criticism.assemble import (
     candidates_of,
     drawn_estimates,
@@ -71,7 +72,6 @@ def criticize(
     posterior: bool = False,
     workers: int | None = None,
     progress: bool = False,
-    interrupted: Callable[[], bool] | None = None,
 ) -> Criticism:
     """Find where a model and a log disagree, name the missing effect, add it, and show the gap shrink.
 
@@ -107,8 +107,6 @@ def criticize(
     progress : bool
         Tell what is being tried, how many candidates are left, and the time so far: in one line that is kept up to
         date on a terminal, elsewhere in messages of the logger ``pmcl.criticism``.
-    interrupted : callable, optional
-        Asked between pieces of work of some seconds; where it returns True, the run ends with KeyboardInterrupt.
 
     Returns
     -------
@@ -133,15 +131,20 @@ def criticize(
     formulas as well. Where the filter of the base model loses the robot, effects of the motion are refitted first,
     then of the sensors: one that lets it follow is added.
     """
-    log = log.without_truth()
-    _check(log, simulations, level, rounds)
-    checked_logs((log,), model)
+    check_arguments(
+        log, model, effects, {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds,
+                              "draws": draws, "workers": workers},
+        {"joint": joint, "progress": progress, "posterior": posterior}, seed, level,
+    )  # fmt: skip
     if posterior and not joint:
         raise CriticismError(
             "expected full chains for a posterior, but joint calibration is switched off; switch it on, or ask for none"
         )
+    log = log.without_truth()
+    _check(log)
+    checked_logs((log,), model)
     base = model or default_model(log)
-    with Progress(progress, interrupted) as reporter:
+    with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
         settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
         log = with_estimated_path(log, base, seed=seed)
@@ -149,7 +152,7 @@ def criticize(
         return _Loop(base, Search(log, offered, settings)).run(rounds, joint, draws, always=posterior)
 
 
-def _check(log: RobotLog, simulations: int, level: float, rounds: int) -> None:
+def _check(log: RobotLog) -> None:
     if log.n_steps < _LEAST_ROWS:
         raise CriticismError(
             f"{log.where}: expected at least {_LEAST_ROWS} rows, to fit on one part and judge on another, but got "
@@ -158,12 +161,6 @@ def _check(log: RobotLog, simulations: int, level: float, rounds: int) -> None:
     if not np.any(log.odometry[1:] != 0.0):
         raise CriticismError(
             f"{log.where}: expected a robot that moves, but all odometry is zero; drive, and turn both ways"
-        )
-    if simulations < 15:
-        raise CriticismError(f"expected at least 15 simulated logs, but got {simulations}; ask for more")
-    if not 0.0 < level < 0.5 or rounds < 1:
-        raise CriticismError(
-            f"expected a level between 0 and 0.5 and at least one round, but got {level:g} and {rounds}; choose others"
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl import defaults
+from pmcl.checks import check_memory, check_seed, check_whole
 from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.interrupts import check_interrupt, stopping_on_interrupt
@@ -115,11 +116,12 @@ def localize_many(
     PmclError
         When log, model, posterior and settings do not fit each other. A run that loses the robot is no error here.
     """
-    if repetitions < 1:
-        raise FilterError(f"expected at least 1 repetition, but got {repetitions}; 1000 are usual")
-    if threads is not None and threads < 1:
-        raise FilterError(f"expected at least 1 thread, but got {threads}; leave it out to use all cores")
+    repetitions = check_whole("repetitions", repetitions, 1, error=FilterError, advice="1000 are usual")
+    if threads is not None:
+        threads = check_whole("threads", threads, 1, error=FilterError, advice="leave it out to use all cores")
+    seed = check_seed(seed, error=FilterError)
     prepared = prepare(log, model, posterior, method, theta, particles, options)
+    check_memory("the runs", 72.0 * repetitions * log.n_steps, error=FilterError, advice="ask for fewer repetitions")
     seeds = run_seeds(seed, repetitions)
     n_steps = log.n_steps
     size = min(prepared.tracker.size, 3)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pmcl import defaults
+from pmcl.checks import check_seed
+from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.setup import prepare
@@ -65,6 +67,7 @@ def localize(
     ----------
     Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006.
     """
+    seed = check_seed(seed, error=FilterError)
     prepared = prepare(log, model, posterior, method, theta, particles, options)
     beliefs = prepared.tracker.run(0, log.n_steps, prepared.counts, make_rng(seed), log.where)
     given = theta is not None and set(theta) >= set(prepared.bound.names)

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmcl import defaults
+from pmcl.checks import check_number, check_seed, check_type, check_whole
+from pmcl.errors import FilterError, LogError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.recent import RecentRows
@@ -99,6 +101,9 @@ class OnlineLocalizer:
         options: FilterOptions | None = None,
         memory: int = 8,
     ) -> None:
+        seed = check_seed(seed, error=FilterError)
+        check_type("robot", robot, RobotLog, error=LogError, advice="give any log of this robot")
+        memory = check_whole("memory", memory, 3, error=LogError, advice="8 rows are usual")
         self._rows = RecentRows(robot, memory)
         self._rng = make_rng(seed)
         # Bound once, with everything checked, to rows without readings; later rows follow without checks.
@@ -106,7 +111,7 @@ class OnlineLocalizer:
         for time in (0.0, 1.0):
             template.add(time, np.zeros(3), dict.fromkeys(_CHANNELS))
         self._prepared = prepare(
-            template, model or default_model(robot), posterior, method, theta, particles, options
+            template, default_model(robot) if model is None else model, posterior, method, theta, particles, options
         )
 
     def update(
@@ -145,13 +150,14 @@ class OnlineLocalizer:
         FilterError
             When the filter has lost the robot: start again, with a start anywhere.
         """
+        time = check_number("time", time, unit="s", error=LogError, advice="give the sample time")
         readings = {
             "range": range,
             "landmark_range": landmark_range,
             "landmark_bearing": landmark_bearing,
             "landmark_size": landmark_size,
         }
-        self._rows.add(float(time), odometry, readings)
+        self._rows.add(time, odometry, readings)
         bound = self._prepared.bound.on_later_rows(self._rows)
         tracker = self._prepared.tracker
         # At the first row there is no motion yet, and effects may divide by its duration.

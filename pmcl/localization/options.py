@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmcl.checks import check_choice, check_flag, check_number, check_whole
 from pmcl.errors import FilterError
 from pmcl.filtering.kernels.resampling import SCHEMES
 from pmcl.filtering.tracker import Options
@@ -75,18 +76,16 @@ class FilterOptions:
 
     def __post_init__(self) -> None:
         """Check all values; raises FilterError."""
-        if self.scheme not in SCHEMES:
-            raise FilterError(f"expected a resampling scheme out of {sorted(SCHEMES)}, but got '{self.scheme}'")
-        if not 0.0 <= self.threshold <= 1.0:
-            raise FilterError(f"expected a resampling threshold in [0, 1], but got {self.threshold:g}; 1 is always")
+        check_choice("scheme", self.scheme, sorted(SCHEMES), error=FilterError)
+        check_number("threshold", self.threshold, 0.0, 1.0, error=FilterError, advice="1 is always")
+        for name in ("annealed", "recover"):
+            check_flag(name, getattr(self, name), error=FilterError)
         for name in ("draws", "draws_per_reading"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise FilterError(f"expected {name} of at least 1, but got {value}; 10 are usual")
+            if getattr(self, name) is not None:
+                check_whole(name, getattr(self, name), 1, error=FilterError, advice="10 are usual")
         for name in ("least_particles", "start_particles"):
-            value = getattr(self, name)
-            if value is not None and value < 2:
-                raise FilterError(f"expected {name} of at least 2, but got {value}; 100 to 10000 are usual")
+            if getattr(self, name) is not None:
+                check_whole(name, getattr(self, name), 2, error=FilterError, advice="100 to 10000 are usual")
 
     def for_kernel(self, particles: int, draws: int, picks: int, start: object) -> Options:
         """Return the same as numbers.

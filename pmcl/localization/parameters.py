@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl import defaults
+from pmcl.checks import check_choice, check_number, check_type
 from pmcl.errors import ModelError, PosteriorError, did_you_mean
 from pmcl.localization.options import FilterOptions
 from pmcl.models.parameters import Parameter, prior_support
@@ -64,9 +65,10 @@ def choose_theta(
     PosteriorError
         When there is no posterior, its parameters are not the model's, or it has fewer draws than asked for.
     """
-    if method not in METHODS:
-        raise PosteriorError(f"expected a method out of {', '.join(METHODS)}, but got '{method}'")
-    given = _checked(bound, theta or {})
+    check_choice("method", method, METHODS, error=PosteriorError)
+    if posterior is not None:
+        parameter_names(posterior)
+    given = _checked(bound, {} if theta is None else theta)
     open_names = [name for name in bound.names if name not in given]
     if not open_names:
         values, picks = np.array([[given[name] for name in bound.names]]).reshape(1, bound.dimension), 1
@@ -136,6 +138,7 @@ def _check_names(bound: BoundModel, posterior: Posterior) -> None:
 
 
 def _checked(bound: BoundModel, theta: Mapping[str, float]) -> dict[str, float]:
+    check_type("theta", theta, Mapping, error=ModelError, advice="write a dict with parameter names as keys")
     known = {parameter.name: parameter for parameter in bound.parameters}
     for name, value in theta.items():
         if name not in known:
@@ -146,6 +149,7 @@ def _checked(bound: BoundModel, theta: Mapping[str, float]) -> dict[str, float]:
 
 
 def _check_value(parameter: Parameter, value: float) -> None:
+    check_number(f"theta: {parameter.name}", value, error=ModelError, advice="choose another value")
     low, high = prior_support(parameter.prior)
     if not (math.isfinite(value) and low <= value <= high):
         raise ModelError(

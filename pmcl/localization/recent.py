@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmcl.errors import LogError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.maps.arrays import as_numbers
 
 __all__ = ["RecentRows"]
 
@@ -30,15 +31,9 @@ class RecentRows(RobotLog):
         Rows kept, at least 3: one before the latest for sensors that look back, more for effects that reach back
         farther, such as a latency.
 
-    Raises
-    ------
-    LogError
-        When `memory` is too short.
     """
 
     def __init__(self, robot: RobotLog, memory: int) -> None:
-        if memory < 3:
-            raise LogError(f"expected a memory of at least 3 rows, but got {memory}; 8 are usual")
         values: dict[str, object] = {"dataset": robot.dataset, "where": robot.where, "_memory": memory, "_seen": 0}
         widths = {name: robot.dataset[name].shape[1] for name in _CHANNELS if name in robot.dataset}
         values["_rows"] = {name: np.empty((0, width)) for name, width in {"odometry": 3, **widths}.items()}
@@ -73,9 +68,11 @@ class RecentRows(RobotLog):
             When something is missing, of the wrong shape or not a possible reading.
         """
         what = f"time {time:g} s"
-        if not np.isfinite(time) or (self._times.size and not time > self._times[-1]):
-            last = f"later than the last one, {self._times[-1]:g} s" if self._times.size else "that is finite"
-            raise LogError(f"expected a time {last}, but got {time:g} s; give the sample times in order")
+        if self._times.size and not time > self._times[-1]:
+            raise LogError(
+                f"expected a time later than the last one, {self._times[-1]:g} s, but got {time:g} s; "
+                "give the sample times in order"
+            )
         row = {"odometry": self._odometry(odometry, what)}
         for name, values in readings.items():
             if name in self._rows:
@@ -92,11 +89,14 @@ class RecentRows(RobotLog):
     def _odometry(self, odometry: ArrayLike | None, what: str) -> Float:
         if not self._times.size:
             return np.zeros(3)
-        values = np.asarray(np.nan if odometry is None else odometry, dtype=float)
+        try:
+            values = np.array([]) if odometry is None else as_numbers(odometry)
+        except TypeError:
+            values = np.array([])
         if values.shape != (3,) or not np.isfinite(values).all():
             raise LogError(
                 f"{what}: expected odometry as (forward [m], left [m], turn [rad]) since the last row, but got "
-                f"{odometry!r}; give three finite numbers"
+                f"{values.tolist() if values.size else type(odometry).__name__}; give three finite numbers"
             )
         return values
 
@@ -104,7 +104,10 @@ class RecentRows(RobotLog):
         width = self._rows[name].shape[1]
         if values is None:
             return np.full(width, np.nan)
-        found = np.array(values, dtype=float)
+        try:
+            found = as_numbers(values)
+        except TypeError as problem:
+            raise LogError(f"{what}: expected numbers in '{name}', but got {problem}; convert them") from None
         if found.shape != (width,):
             raise LogError(f"{what}: expected {width} numbers in '{name}', but got shape {found.shape}; NaN is missing")
         wrong = found < 0.0 if name != "landmark_bearing" else np.isinf(found)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import ModelError
+from pmcl.checks import check_memory, check_type, check_whole
+from pmcl.errors import FilterError, LogError, ModelError
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.filtering.tracker import Tracker
 from pmcl.localization.options import FilterOptions
@@ -27,6 +28,9 @@ from pmcl.posterior.estimates import posterior_mean
 __all__ = ["Prepared", "anywhere", "prepare", "reading_counts"]
 
 Float = NDArray[np.float64]
+
+# A filter keeps some fifty numbers for each particle: states, weights, scratch space.
+_BYTES_PER_PARTICLE = 400.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,14 @@ def prepare(
     options: FilterOptions | None,
 ) -> Prepared:
     """Make the filter for one log; parameters and errors as for :func:`pmcl.localization.offline.localize`."""
-    options = options or FilterOptions()
+    check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
+    if model is not None:
+        check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
+    options = FilterOptions() if options is None else options
+    check_type("options", options, FilterOptions, error=FilterError, advice="make them with FilterOptions(...)")
+    particles = check_whole("particles", particles, 2, error=FilterError, advice="25 to 1000 are usual")
+    greatest = max(particles, options.start_particles or 0)
+    check_memory("the particles", _BYTES_PER_PARTICLE * greatest, error=FilterError, advice="use fewer")
     model = model or default_model(log)
     bound = model.bind(_with_path(log, model, posterior, theta))
     values, picks = choose_theta(bound, posterior, method, theta, options)

@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pmcl.errors import MapError
+from pmcl.checks import check_path, check_seed, check_type, check_whole
+from pmcl.errors import LogError, MapError
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.assemble import assemble
 from pmcl.logs.finding import warn_of
@@ -71,11 +72,12 @@ class RobotLog(LogArrays):
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RobotLog:
         """Read a NetCDF file; raises LogError or MapError when it is missing, damaged or not a valid log."""
-        return cls(read_dataset(path), os.fspath(path))
+        path = check_path("path", path, error=LogError)
+        return cls(read_dataset(path), path)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a NetCDF file, all or nothing; raises LogError and leaves an existing file as it was when it cannot."""
-        write_dataset(self.dataset, path)
+        write_dataset(self.dataset, check_path("path", path, error=LogError))
 
     @classmethod
     def build(
@@ -159,6 +161,13 @@ class RobotLog(LogArrays):
         LogError, MapError
             When shapes disagree, or the log is not valid.
         """
+        for name, given in (("true_theta", true_theta), ("attributes", attributes)):
+            if given is not None:
+                check_type(name, given, Mapping, error=LogError, advice="write a dict with texts as keys")
+        for name, text in (("robot", robot), ("source", source), ("where", where)):
+            check_type(name, text, str, error=LogError, advice="write a text")
+        if seed is not None:
+            seed = check_seed(seed, error=LogError)
         names: tuple[str, ...] = ()
         if isinstance(landmarks, LandmarkMap):
             names, landmarks = tuple(landmarks.names), landmarks.positions
@@ -237,13 +246,16 @@ class RobotLog(LogArrays):
         LogError
             When the rows are not in the log, or only one of `start_mean` and `start_std` is given.
         """
+        start = check_whole("start", start, error=LogError, advice=f"choose a row of {self.where}")
+        stop = check_whole("stop", stop, error=LogError, advice=f"choose a row of {self.where}")
         if not 0 <= start < stop <= self.n_steps:
             fail(self.where, f"expected rows 0 <= start < stop <= {self.n_steps}, got {start}, {stop}: choose others")
         if (start_mean is None) != (start_std is None):
             fail(self.where, "expected start_mean and start_std together, got one of them: give both or none")
         part = self.dataset.isel(time=slice(start, stop))
         if start_mean is not None:
-            part = part.assign(start_mean=("pose", np.asarray(start_mean)), start_std=("pose", np.asarray(start_std)))
+            belief = assemble({"start_mean": start_mean, "start_std": start_std}, {}, self.where)
+            part = part.assign(start_mean=belief["start_mean"], start_std=belief["start_std"])
         elif start != 0:
             part = part.assign(start_mean=("pose", np.zeros(3)), start_std=("pose", np.full(3, np.inf)))
         return RobotLog(part, f"{self.where}[{start}:{stop}]")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.checks import check_type
 from pmcl.errors import MapError
 from pmcl.maps.arrays import coordinates
 
@@ -37,6 +38,10 @@ class LandmarkMap:
 
     def __post_init__(self) -> None:
         positions = coordinates(self.positions, "landmarks", "(J, 2): landmark, xy", (2,))
+        advice = "write one text for each landmark"
+        check_type("landmark names", self.names, (list, tuple, np.ndarray), error=MapError, advice=advice)
+        if isinstance(self.names, np.ndarray) and self.names.ndim == 0:
+            raise MapError(f"expected landmark names as a list, but got one value; {advice}")
         names = tuple(str(name) for name in self.names) or tuple(str(j) for j in range(len(positions)))
         if len(names) != len(positions):
             raise MapError(f"expected {len(positions)} landmark names, got {len(names)}: name every landmark once")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from pmcl.checks import check_type
 from pmcl.errors import ModelError
 
 __all__ = ["Parameter", "PriorTable", "gamma_prior", "log_prior_function", "prior_rows", "prior_support", "prior_table"]
@@ -45,6 +46,10 @@ class Parameter:
 
     def __post_init__(self) -> None:
         """Check that the prior can be drawn from and evaluated."""
+        for what in ("name", "unit", "description"):
+            check_type(f"{what} of a parameter", getattr(self, what), str, error=ModelError, advice="write a text")
+        if not self.name:
+            raise ModelError("expected a name of a parameter, but got an empty text; call it for example 'sigma_range'")
         if not (hasattr(self.prior, "logpdf") and hasattr(self.prior, "rvs") and hasattr(self.prior, "support")):
             raise ModelError(
                 f"the prior of {self.name} must be a frozen continuous scipy.stats distribution, "

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pmcl.checks import check_flag, check_number, check_type
 from pmcl.errors import LogError, ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
@@ -21,7 +22,7 @@ from pmcl.models.sensors import LandmarkNoise, RangeNoise
 from pmcl.models.start import StartBelief
 from pmcl.models.tables import Tables
 
-__all__ = ["BoundModel", "RobotModel", "default_model"]
+__all__ = ["BoundModel", "RobotModel", "default_model", "log_sequence"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class RobotModel:
     effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check types and names."""
+        self._check_types()
         names = [parameter.name for owner in self.owners for parameter in owner.parameters]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
@@ -70,6 +72,19 @@ class RobotModel:
             if unknown:
                 raise ModelError(f"{what} names {unknown}, but the model's parameters are {names}; correct the name")
         self._check_fixed()
+
+    def _check_types(self) -> None:
+        advice = "see pmcl.models for the built-in ones"
+        check_type("motion", self.motion, Part, error=ModelError, advice=advice)
+        check_type("start", self.start, Part, error=ModelError, advice=advice)
+        for name, members, kind in (("sensors", self.sensors, Part), ("effects", self.effects, Effect)):
+            check_type(name, members, (tuple, list), error=ModelError, advice="write a tuple, also around one")
+            for member in members:
+                check_type(f"each of {name}", member, kind, error=ModelError, advice=advice)
+        for name, given in (("priors", self.priors), ("fixed", self.fixed)):
+            check_type(name, given, Mapping, error=ModelError, advice="write a dict with parameter names as keys")
+        for name, value in self.fixed.items():
+            check_number(f"the fixed value of {name}", value, error=ModelError)
 
     def _check_fixed(self) -> None:
         for owner in self.owners:
@@ -121,10 +136,7 @@ class RobotModel:
         ModelError, LogError, MapError
             When a log lacks what the model needs.
         """
-        logs = (logs,) if isinstance(logs, RobotLog) else tuple(logs)
-        if not logs:
-            raise LogError("expected at least one log, but got none; give a file")
-        return BoundModel(self, logs)
+        return BoundModel(self, log_sequence(logs))
 
 
 @dataclass(frozen=True)
@@ -292,6 +304,23 @@ class BoundModel:
                 )
 
 
+def log_sequence(logs: RobotLog | Sequence[RobotLog]) -> tuple[RobotLog, ...]:
+    """Return one or several logs as a tuple.
+
+    Raises
+    ------
+    LogError
+        When there is none, or something else among them.
+    """
+    if isinstance(logs, RobotLog):
+        return (logs,)
+    advice = "read one with pmcl.read_log"
+    check_type("logs", logs, (RobotLog, list, tuple), error=LogError, advice=advice)
+    if not logs:
+        raise LogError("expected at least one log, but got none; give a file")
+    return tuple(check_type("each of logs", log, RobotLog, error=LogError, advice=advice) for log in logs)
+
+
 def default_model(log: RobotLog, *, outliers: bool = False) -> RobotModel:
     """Return the model that fits what a log holds: the paper's motion, Gaussian sensors, the log's own start.
 
@@ -301,7 +330,14 @@ def default_model(log: RobotLog, *, outliers: bool = False) -> RobotModel:
         The log.
     outliers : bool
         Whether readings may be gross errors.
+
+    Raises
+    ------
+    LogError, ModelError
+        When these are of other types.
     """
+    check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
+    check_flag("outliers", outliers, error=ModelError)
     sensors: list[Part] = []
     if log.ranges is not None:
         sensors.append(RangeNoise(outliers=outliers))

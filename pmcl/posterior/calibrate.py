@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from pmcl import defaults
+from pmcl.checks import check_choice, check_flag, check_path, check_seed, check_type, check_whole
 from pmcl.errors import ModelError, SamplingError
 from pmcl.filtering.ahead import compile_for_calibration
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_text import model_text
-from pmcl.models.robot_model import BoundModel, RobotModel, default_model
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model, log_sequence
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.predictive_check import checked
@@ -81,9 +82,10 @@ def calibrate(
     pool : object with a `map` method, optional
         Runs the chains of each step: threads on all cores when left out; processes, MPI or Dask pools work too.
     checkpoint : path, optional
-        HDF5 file to which each draw is written.
+        HDF5 file to which the run is written every few seconds, and when an error or Ctrl-C ends it. It stays when
+        the run is done.
     resume : bool
-        Continue the checkpoint; the result is identical to that of an uninterrupted run.
+        Continue the checkpoint, if it is there; the result is identical to that of an uninterrupted run.
     progress : bool
         Show progress bars.
     check : bool
@@ -100,18 +102,40 @@ def calibrate(
     ------
     PmclError
         When logs, model and settings do not fit each other, or no chain can start.
+    KeyboardInterrupt
+        After the current sweep when Ctrl-C was pressed, at once when it was pressed twice. With a checkpoint nothing
+        is lost: the same call with `resume` goes on.
 
     References
     ----------
     Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006.
     """
-    logs = (logs,) if isinstance(logs, RobotLog) else tuple(logs)
-    _check_sizes(draws=draws, chains=chains, sweeps_per_draw=sweeps_per_draw, burn_in_particles=burn_in_particles)
+    logs = log_sequence(logs)
+    check_choice("method", method, ("particle-gibbs", "ensemble"), error=SamplingError)
+    check_choice("kernel", kernel, ("conditional", "smoothing"), error=SamplingError)
+    for name, value in (("particles", particles), ("burn_in_particles", burn_in_particles)):
+        if value is not None or name != "particles":
+            check_whole(name, value, 2, error=SamplingError, advice="25 to 1000 are usual")
+    for name, size in (
+        ("draws", draws), ("chains", chains), ("metropolis_steps", metropolis_steps),
+        ("sweeps_per_draw", sweeps_per_draw), ("trajectories", trajectories),
+    ):  # fmt: skip
+        check_whole(name, size, 1, error=SamplingError)
+    if data_rate is not None:
+        check_whole("data_rate", data_rate, 1, error=SamplingError, advice="leave it out for a fiftieth of the log")
+    for name, flag in (("transport", transport), ("resume", resume), ("progress", progress), ("check", check)):
+        if flag is not None or name != "transport":
+            check_flag(name, flag, error=SamplingError)
+    if pool is not None and not callable(getattr(pool, "map", None)):
+        raise SamplingError(f"expected pool with a method map, but got {type(pool).__name__}; leave it out for threads")
+    if checkpoint is not None:
+        check_path("checkpoint", checkpoint, error=SamplingError)
+    seed = check_seed(seed, error=SamplingError)
+    if model is not None:
+        check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
     for log in logs:
         require_rows(log)
-    if model is None and logs:
-        model = default_model(logs[0])
-    model = model or RobotModel()
+    model = default_model(logs[0]) if model is None else model
     logs = tuple(with_estimated_path(log, model, seed=seed) for log in logs)
     bound = model.bind(logs)
     if bound.dimension == 0:
@@ -126,8 +150,6 @@ def calibrate(
         "settings": {"model": _model_text(bound), "preflight": checked_logs(bound.logs, model)},
     }
     if method == "particle-gibbs":
-        if kernel not in ("conditional", "smoothing"):
-            raise SamplingError(f"expected kernel 'conditional' or 'smoothing', but got '{kernel}'")
         moves = transport if transport is not None else kernel == "conditional"
         plan = Plan(
             kernel=kernel,
@@ -141,7 +163,7 @@ def calibrate(
             trajectories=trajectories,
         )
         result = run_particle_gibbs(bound, plan, chains, seed, **shared)
-    elif method == "ensemble":
+    else:
         result = run_ensemble(
             bound,
             particles=particles if particles is not None else defaults.CALIBRATION_PARTICLES["ensemble"],
@@ -152,8 +174,6 @@ def calibrate(
             trajectories=trajectories,
             **shared,
         )
-    else:
-        raise SamplingError(f"expected method 'particle-gibbs' or 'ensemble', but got '{method}'")
     data = to_arviz(result, bound.parameters, bound.logs)
     return checked(data, bound, seed) if check else data
 
@@ -164,9 +184,3 @@ def _model_text(bound: BoundModel) -> str:
         return model_text(bound.model, bound.logs[0])
     except ModelError:
         return ""
-
-
-def _check_sizes(**sizes: int) -> None:
-    for name, value in sizes.items():
-        if value < 1:
-            raise SamplingError(f"expected {name} of at least 1, but got {value}")

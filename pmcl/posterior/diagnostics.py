@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from pmcl.checks import check_type
 from pmcl.errors import PosteriorError
 from pmcl.posterior.access import log_joint, parameter_names, parameter_units, theta_draws, true_theta
 from pmcl.posterior.adequacy import adequacy
@@ -168,6 +169,9 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
     """
     table = summarize(data) if summary is None else summary
     names = parameter_names(data)
+    check_type("summary", table, xr.Dataset, error=PosteriorError, advice="make one with summarize(data)")
+    if "parameter" not in table:
+        raise PosteriorError("expected a summary with one row for each parameter, got none: call summarize(data)")
     if tuple(table["parameter"].values) != names:
         raise PosteriorError(
             f"expected the summary of this posterior ({', '.join(names)}), got one of "

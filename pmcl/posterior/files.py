@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from pmcl.checks import check_path
 from pmcl.errors import PosteriorError
 from pmcl.posterior.access import parameter_names
 from pmcl.posterior.compat import Posterior, load_netcdf, save_netcdf
@@ -27,6 +28,7 @@ def write_posterior(data: Posterior, path: str | os.PathLike[str]) -> None:
     PosteriorError
         If there is nothing to write, or the file cannot be written.
     """
+    check_path("path", path, error=PosteriorError)
     parameter_names(data)
     with replacing(path) as temporary:
         save_netcdf(data, temporary)
@@ -49,7 +51,7 @@ def read_posterior(path: str | os.PathLike[str]) -> Posterior:
     PosteriorError
         If the file is missing, damaged, not NetCDF, not a posterior, or holds no draws.
     """
-    path = Path(path)
+    path = Path(check_path("path", path, error=PosteriorError))
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise PosteriorError(

@@ -15,7 +15,7 @@ from pmcl.maps.landmarks import LandmarkMap
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.sensors import LandmarkNoise
 from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.effects import Affected, Given, affected_by
+from pmcl.robots.effects import Affected, Given, affected_by, check_given
 from pmcl.robots.sightings import draw_sightings
 from pmcl.robots.simulate import check_run, draw_theta, make_rng
 
@@ -103,6 +103,7 @@ def simulate_aibo(
     Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006, section "AIBO".
     """
     n_steps = check_run(duration, _PERIOD, seed, where)
+    check_given(effects, hide_effects)
     rng = make_rng(seed)
     motion, sensor = IncrementNoise(), LandmarkNoise(range=False, bearing=True, size=True)
     truth = draw_theta((*motion.parameters, *sensor.parameters), theta, rng)

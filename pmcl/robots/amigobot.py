@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmcl import defaults
+from pmcl.checks import check_type
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.maps.arrays import as_numbers
 from pmcl.maps.walls import WallMap
 from pmcl.models.motion import IncrementNoise
 from pmcl.models.sensors import RangeNoise
 from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.effects import Affected, Given, affected_by
+from pmcl.robots.effects import Affected, Given, affected_by, check_given
 from pmcl.robots.simulate import check_run, draw_theta, make_rng, simulate_readings
 
 __all__ = ["AMIGOBOT_BEAMS", "AMIGOBOT_ROOM", "simulate_amigobot"]
@@ -101,6 +103,9 @@ def simulate_amigobot(
     Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006, section "Amigobot".
     """
     n_steps = check_run(duration, _PERIOD, seed, where)
+    check_given(effects, hide_effects)
+    if room is not None:
+        check_type("room", room, WallMap, error=ModelError, advice="make one with WallMap.from_polygon")
     rng = make_rng(seed)
     motion, sensor = IncrementNoise(), RangeNoise()
     truth = draw_theta((*motion.parameters, *sensor.parameters), theta, rng)
@@ -144,7 +149,10 @@ def _points(waypoints: ArrayLike | None, room: WallMap | None, where: str) -> ND
         if room is not None:
             raise ModelError(f"{where}: expected waypoints for a room of your own, but got none; say where to drive")
         return _WAYPOINTS
-    points = np.asarray(waypoints, dtype=float)
+    try:
+        points = as_numbers(waypoints)
+    except TypeError as problem:
+        raise ModelError(f"{where}: expected waypoints as numbers, but got {problem}; list points (x, y)") from None
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise ModelError(
             f"{where}: expected waypoints as at least two points (x, y) in metres, but got an array of shape "

@@ -10,14 +10,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.checks import check_flag, check_type
 from pmcl.errors import ModelError
 from pmcl.filtering.kernels import contract
 from pmcl.logs.robot_log import RobotLog
+from pmcl.maps.arrays import as_numbers
 from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.effects.selection import check_values, parse_effect
 from pmcl.models.parts import Part
@@ -162,6 +164,25 @@ class Affected:
         return path, command
 
 
+def check_given(given: Any, hide: Any) -> None:
+    """Check the types of effects to simulate, before anything is simulated.
+
+    Raises
+    ------
+    ModelError
+        When they are no list of texts and of pairs of an effect and its values, or `hide` is no truth value.
+    """
+    check_type("effects", given, (list, tuple), error=ModelError, advice="write a list, also around one effect")
+    for one in given:
+        pair = isinstance(one, tuple | list) and len(one) == 2 and isinstance(one[0], Effect)
+        if not isinstance(one, str) and not pair:
+            raise ModelError(
+                f"expected each effect as text or as a pair of an effect and its values, but got {type(one).__name__}; "
+                "write for example 'range-bias=0.05'"
+            )
+    check_flag("hide_effects", hide, error=ModelError)
+
+
 def affected_by(
     given: Sequence[Given], log: RobotLog, seed: int, motion: Part, sensor: Part, truth: Mapping[str, float]
 ) -> Affected:
@@ -191,7 +212,13 @@ def affected_by(
         if isinstance(one, str):
             effect, numbers = parse_effect(one, log, rng)
         else:
-            effect, numbers = one[0], np.asarray(one[1], dtype=float)
+            effect = one[0]
+            try:
+                numbers = as_numbers(one[1])
+            except TypeError as problem:
+                raise ModelError(
+                    f"{log.where}: expected numbers for effect {effect.name}, but got {problem}; correct them"
+                ) from None
             if numbers.shape != (len(effect.parameters),):
                 raise ModelError(
                     f"{log.where}: expected {len(effect.parameters)} values for effect {effect.name}, but got shape "

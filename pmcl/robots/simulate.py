@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.checks import check_memory, check_number, check_seed, check_type
 from pmcl.errors import ModelError, did_you_mean
 
 # The particle filter's module also registers the kernels of the built-in tables with the contract.
@@ -29,6 +30,9 @@ from pmcl.robots.rich_readings import draw_range_readings, draw_sighting_reading
 __all__ = ["check_run", "draw_theta", "make_rng", "simulate_path", "simulate_readings"]
 
 Float = NDArray[np.float64]
+
+# Some hundred numbers for each row of a simulated log: pose, increment, readings, and copies of them on the way.
+_BYTES_PER_ROW = 1000.0
 
 
 def check_run(duration: float, period: float, seed: int, where: str) -> int:
@@ -50,14 +54,15 @@ def check_run(duration: float, period: float, seed: int, where: str) -> int:
     Raises
     ------
     ModelError
-        When there are fewer than two rows, or the seed is negative.
+        When there are fewer than two rows, more than memory holds, or the seed is not usable.
     """
-    if not (math.isfinite(duration) and duration >= 2.0 * period):
-        raise ModelError(
-            f"{where}: expected a duration of at least {2.0 * period:g} s, but got {duration:g} s; give a longer one"
-        )
-    if seed < 0:
-        raise ModelError(f"{where}: expected a seed of at least 0, but got {seed}; choose another")
+    duration = check_number(
+        "duration", duration, 2.0 * period, unit="s", error=ModelError, advice="give a longer or shorter one"
+    )
+    check_seed(seed, error=ModelError)
+    check_memory(
+        f"{where}: a log of {duration:g} s", _BYTES_PER_ROW * duration / period, error=ModelError, advice="shorten it"
+    )
     return int(duration / period)
 
 
@@ -86,10 +91,13 @@ def draw_theta(
         When a name is not a parameter, or a value is outside the support of its prior.
     """
     theta = {parameter.name: float(parameter.prior.rvs(random_state=rng)) for parameter in parameters}
-    for name, value in (given or {}).items():
+    given = {} if given is None else given
+    check_type("theta", given, Mapping, error=ModelError, advice="write a dict with parameter names as keys")
+    for name, value in given.items():
         if name not in theta:
             advice = did_you_mean(name, theta, "leave it out")
             raise ModelError(f"theta: expected parameters out of {', '.join(theta)}, but got '{name}'; {advice}")
+        check_number(f"theta: {name}", value, error=ModelError)
         low, high = next(prior_support(parameter.prior) for parameter in parameters if parameter.name == name)
         if not (low <= value <= high and math.isfinite(value)):
             raise ModelError(

@@ -9,6 +9,8 @@ import numpy as np
 from emcee.moves import Move
 from emcee.state import State
 
+from pmcl.checks import check_type
+from pmcl.errors import SamplingError
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.state import blob_dtype, from_blob, into_blob, state_dimension
 from pmcl.sampling.sweep import SweepSettings, step
@@ -34,6 +36,11 @@ class ParticleGibbsMove(Move):  # type: ignore[misc]
     transports : sequence of Transport or None, optional
         A frozen linearisation for each walker; without it there are no transport moves.
 
+    Raises
+    ------
+    SamplingError
+        When a setting is not usable.
+
     Notes
     -----
     A sweep is one move: emcee chooses at random among several moves, which would break the order of Gibbs blocks.
@@ -47,6 +54,7 @@ class ParticleGibbsMove(Move):  # type: ignore[misc]
         transports: Sequence[Transport | None] | None = None,
         **settings: Any,
     ) -> None:
+        check_type("bound", bound, BoundModel, error=SamplingError, advice="make it with RobotModel(...).bind(log)")
         self.bound = bound
         self.settings = SweepSettings(**settings)
         self.transports = transports

@@ -13,6 +13,7 @@ import numpy as np
 from emcee.state import State
 from numpy.typing import NDArray
 
+from pmcl.checks import check_memory
 from pmcl.errors import SamplingError
 from pmcl.interrupts import check_interrupt, stopping_on_interrupt
 from pmcl.models.robot_model import BoundModel
@@ -32,7 +33,7 @@ from pmcl.sampling.stages import (
     restarted,
     tuned_transports,
 )
-from pmcl.sampling.state import into_blob
+from pmcl.sampling.state import into_blob, state_dimension
 from pmcl.sampling.stopwatch import Stopwatch, TimeOver
 from pmcl.sampling.sweep import included, start_chain
 from pmcl.sampling.transport import Transport
@@ -139,6 +140,8 @@ def run_particle_gibbs(
         When a chain cannot start, the filter meets a density that is not a number, or the checkpoint does not fit.
     """
     longest = max(bound.lengths)
+    if stopwatch is None:
+        _check_memory(bound, n_chains, plan.draws, plan.trajectories, max(plan.particles, plan.burn_in_particles))
     told = {"method": "particle-gibbs", "chains": n_chains, "seed": seed, **_plan_settings(plan)}
     stages = plan_stages(plan, longest)
     transports: list[Transport | None] | None = None
@@ -228,6 +231,8 @@ def run_ensemble(
         "method": "ensemble", "chains": n_walkers, "seed": seed, "particles": particles, "draws": draws,
         "burn_in": burn_in, "moves": repr(moves), "trajectories": trajectories,
     }  # fmt: skip
+    if stopwatch is None:
+        _check_memory(bound, n_walkers, draws, trajectories, particles)
     target = PseudoMarginalTarget(bound, particles, seed)
     keep_every = max(1, draws // max(trajectories, 1))
     state: State | None = None
@@ -247,6 +252,22 @@ def run_ensemble(
             elif name == "burn-in" and not backends[1].iteration:
                 state = backend.get_last_sample()
     return _collect(bound, backends, keep_every, told | (settings or {}))
+
+
+def _check_memory(bound: BoundModel, n_chains: int, draws: int, trajectories: int, particles: int) -> None:
+    """Refuse a run whose draws, trajectories and particles can never fit into memory, before it begins."""
+    states = float(sum(bound.lengths)) * state_dimension(bound)
+    # A draw: theta and what the blob tells of each parameter and of the sweep. A kept trajectory: once in single and
+    # twice in double precision. A particle of each row: its state, its weight and its parent.
+    of_draws = draws * (8.0 * 4.0 * bound.dimension + 100.0)
+    of_trajectories = 20.0 * min(trajectories, draws) * states
+    of_particles = 8.0 * particles * (states + 1.5 * sum(bound.lengths))
+    check_memory(
+        "draws, chains, trajectories and particles",
+        n_chains * (of_draws + of_trajectories) + of_particles,
+        error=SamplingError,
+        advice="ask for fewer",
+    )
 
 
 @contextmanager

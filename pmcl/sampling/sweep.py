@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.checks import check_choice, check_number, check_whole
 from pmcl.errors import FilterError, ModelError, SamplingError
-from pmcl.filtering.particle_filter import Kernel, SweepInfo, check_particles, log_joint, make_rng, sweep_path
+from pmcl.filtering.particle_filter import Kernel, SweepInfo, log_joint, make_rng, sweep_path
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
@@ -59,12 +60,11 @@ class SweepSettings:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        check_particles(self.particles)
-        if self.kernel not in ("smoothing", "conditional"):
-            raise SamplingError(f"expected kernel 'smoothing' or 'conditional', but got '{self.kernel}'")
+        check_choice("kernel", self.kernel, ("conditional", "smoothing"), error=SamplingError)
+        check_whole("particles", self.particles, 2, error=SamplingError, advice="25 to 1000 are usual")
         for name, least in (("metropolis_steps", 0), ("transport_moves", 0), ("sweeps", 1), ("data_rate", 0)):
-            if getattr(self, name) < least:
-                raise SamplingError(f"expected {name} of at least {least}, but got {getattr(self, name)}")
+            check_whole(name, getattr(self, name), least, error=SamplingError)
+        check_number("gain", self.gain, 0.0, 1.0, error=SamplingError, advice="0 freezes the steps")
 
 
 def included(bound: BoundModel, path: Float, rows: int) -> list[Float]:

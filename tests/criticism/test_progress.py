@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from pmcl.criticism import progress
 from pmcl.criticism.passes import Settings
 from pmcl.criticism.progress import Progress
 
@@ -64,9 +65,15 @@ def test_on_a_terminal_one_line_is_kept_up_to_date(monkeypatch):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_an_interruption_ends_the_work_before_the_next_piece(workers):
+def test_an_interruption_ends_the_work_before_the_next_piece(workers, monkeypatch):
     done = []
-    with Progress(False, lambda: len(done) >= 3) as reporter:
+
+    def interrupted():
+        if len(done) >= 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(progress, "check_interrupt", interrupted)
+    with Progress(False) as reporter:
 
         def piece(k):
             done.append(k)

@@ -8,7 +8,6 @@ numbers, ``pi``, named constants, the operators ``+ - * / **``, the functions of
 from __future__ import annotations
 
 import ast
-import difflib
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NoReturn
@@ -16,7 +15,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import ModelError
+from pmcl.errors import ModelError, did_you_mean
 from pmcl.logs.arrays import LogArrays
 
 __all__ = [
@@ -122,8 +121,7 @@ def _check(node: ast.expr, text: str, names: set[str]) -> None:
 
 def _unknown(what: str, name: str, known: Iterable[str], text: str) -> NoReturn:
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, 1, cutoff=0.6)
-    advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
+    advice = did_you_mean(name, names, f"known are {', '.join(names)}")
     raise ModelError(f"term '{text}': expected a known {what}, but got '{name}'; {advice}")
 
 

@@ -1,0 +1,47 @@
+"""Checks on the arguments of criticism, before any work is done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pmcl.checks import check_flag, check_memory, check_number, check_seed, check_type, check_whole
+from pmcl.errors import CriticismError, LogError, ModelError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
+from pmcl.models.robot_model import RobotModel
+
+__all__ = ["check_arguments"]
+
+# Least values: fewer particles or simulated logs cannot tell what is unusual.
+_LEAST = {"particles": 50, "simulations": 15, "paths": 1, "rounds": 1, "draws": 1, "workers": 1}
+# A scored pass keeps state, weight and parent of each particle at each row.
+_BYTES_PER_PARTICLE = 60.0
+
+
+def check_arguments(
+    log: Any, model: Any, effects: Any, sizes: Mapping[str, Any], flags: Mapping[str, Any], seed: Any, level: Any
+) -> None:
+    """Check all arguments of :func:`pmcl.criticism.workflow.criticize`.
+
+    Raises
+    ------
+    CriticismError, LogError, ModelError
+        When one of them cannot be used.
+    """
+    check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
+    for name, size in sizes.items():
+        if size is not None or name != "workers":
+            check_whole(name, size, _LEAST[name], error=CriticismError)
+    check_number("level", level, 0.0, 0.5, open_low=True, open_high=True, error=CriticismError, advice="0.05 is usual")
+    for name, flag in flags.items():
+        check_flag(name, flag, error=CriticismError)
+    check_seed(seed, error=CriticismError)
+    n_bytes = _BYTES_PER_PARTICLE * float(sizes["particles"]) * log.n_steps
+    check_memory("the particles", n_bytes, error=CriticismError, advice="ask for fewer particles")
+    if model is not None:
+        check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
+    if effects is not None:
+        check_type("effects", effects, (list, tuple), error=CriticismError, advice="write a list of effects")
+        for effect in effects:
+            check_type("each of effects", effect, Effect, error=CriticismError, advice="see pmcl.models.effects")
