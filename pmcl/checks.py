@@ -112,8 +112,8 @@ def check_number(
     PmclError
         When the value is no finite number, or beyond its limits.
     """
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, _NO_NUMBERS)
     try:
-        is_number = isinstance(value, numbers.Real) and not isinstance(value, _NO_NUMBERS)
         number = float(value) if is_number else math.nan
     except OverflowError:  # an int beyond all floats
         number = math.inf
@@ -127,7 +127,8 @@ def check_number(
         if high < math.inf:
             limits.append(f"{'less than' if open_high else 'at most'} {high:g}{unit}")
         wanted = f"a number of {' and '.join(limits)}" if limits else f"a finite number{unit and f' in{unit}'}"
-        raise error(f"expected {name} as {wanted}, but got {_shown(value)}; {advice}")
+        came = f"{number:g}{unit}" if is_number else _shown(value)
+        raise error(f"expected {name} as {wanted}, but got {came}; {advice}")
     return number
 
 

@@ -237,7 +237,7 @@ def _after_memory(bound, plan, n_chains, seed, **rest):
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 @settings(
-    max_examples=150, deadline=None, derandomize=True, database=None,
+    max_examples=100, deadline=None, derandomize=True, database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )  # fmt: skip
 def test_each_argument_is_right_or_refused_in_one_line(name, functions, no_work, data):
@@ -276,7 +276,7 @@ BUILD = ("time", "odometry", "ranges", "beam_poses", "max_range", "landmark_rang
 
 
 @given(argument=st.sampled_from(BUILD), k=st.integers(0, len(VALUES) - 1))
-@settings(max_examples=400, deadline=None, derandomize=True, database=None)
+@settings(max_examples=200, deadline=None, derandomize=True, database=None)
 def test_a_log_is_built_right_or_refused_in_one_line(argument, k):
     arguments = {
         "time": [0.0, 1.0, 2.0], "odometry": np.zeros((3, 3)), "landmarks": [[1.0, 2.0]],

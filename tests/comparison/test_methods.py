@@ -51,9 +51,17 @@ def test_methods_that_cannot_be_read(text, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("settings", [{"seconds": 0.0}, {"seconds": np.inf}, {"chains": 1}, {"methods": ()}])
-def test_impossible_comparisons(settings):
-    with pytest.raises(SamplingError, match="expected a positive time, at least two chains"):
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"seconds": 0.0}, "expected seconds as a number of more than 0 s, but got 0 s"),
+        ({"seconds": np.inf}, "expected seconds as a number of more than 0 s, but got inf s"),
+        ({"chains": 1}, "expected chains of at least 2, but got 1"),
+        ({"methods": ()}, "expected at least one method, but got none"),
+    ],
+)
+def test_impossible_comparisons(settings, message):
+    with pytest.raises(SamplingError, match=message):
         compare(simulate_amigobot(20.0), **{"methods": "plain", **settings})
 
 

@@ -257,8 +257,8 @@ def test_more_particles_at_the_start(theta):
 
 def test_options_are_checked():
     for options, message in (
-        ({"scheme": "fair"}, "resampling scheme out of"),
-        ({"threshold": 1.5}, r"threshold in \[0, 1\]"),
+        ({"scheme": "fair"}, "scheme as one of"),
+        ({"threshold": 1.5}, "threshold as a number of at least 0 and at most 1"),
         ({"draws": 0}, "draws of at least 1"),
         ({"least_particles": 1}, "least_particles of at least 2"),
     ):

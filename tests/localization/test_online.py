@@ -132,5 +132,5 @@ def test_the_belief_itself(room_log, theta):
 
 
 def test_too_short_a_memory(room_log, theta):
-    with pytest.raises(LogError, match="at least 3 rows"):
+    with pytest.raises(LogError, match="memory of at least 3"):
         OnlineLocalizer(room_log, theta=theta, memory=2)
