@@ -195,7 +195,7 @@ def test_an_interrupted_run_is_gone_on_with(run, log_file, tmp_path, monkeypatch
     whole, output = tmp_path / "whole.nc", tmp_path / "p.nc"
     assert run("calibrate", log_file, "-o", whole, *SHORT).exit_code == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.nc", "whole.nc"]
-    proposed, left = sampling.ParticleGibbsMove.propose, [300]
+    proposed, left = sampling.ParticleGibbsMove.propose, [290]
 
     def propose(self, model, state):
         left[0] -= 1
