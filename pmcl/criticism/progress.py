@@ -50,14 +50,13 @@ class Progress:
         self.shown, self.pause = shown, pause
         self.live = shown and (sys.stderr.isatty() if live is None else live)
         self._began = self._told = time.monotonic()
-        self._stage, self._watch = "", None
+        self._stage = ""
+        self._watch: Watch | None = None
         self._line: Any = None
         self._hidden = False
         self._over = threading.Event()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-
-    _watch: Watch | None
 
     def __enter__(self) -> Progress:
         if self.shown:

@@ -42,6 +42,7 @@ __all__ = ["model_of_text", "model_text", "read_model"]
 
 _ANYWHERE = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
 _SENSORS = ("range", "landmarks")
+_FORMULA = "formula"
 _LANDMARK_FLAGS = ("range", "bearing", "size", "outliers")
 
 
@@ -212,7 +213,7 @@ def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
         if not isinstance(one.get("name"), str):
             _fail(where, "effects", f"expected the name of an effect, but got {one!r}; write for example "
                   'name = "range-bias"')  # fmt: skip
-        if one["name"].startswith(PREFIX.strip(": ")):
+        if one["name"] == _FORMULA or one["name"].startswith(PREFIX) or "terms" in one:
             made.append(_formula(where, one, log))
             continue
         place = {key: value for key, value in one.items() if key != "name"}
@@ -243,7 +244,7 @@ def _formula(where: str, given: Mapping[str, Any], log: RobotLog) -> Effect:
     window = given.get("window")
     if window is not None and (not isinstance(window, list) or len(window) != 2):
         _fail(where, "effects.window", f"expected [begin, end] in seconds, but got {window!r}; correct it")
-    name = given["name"] if given["name"].startswith(PREFIX) else None
+    name = None if given["name"] == _FORMULA else given["name"]
     try:
         window = None if window is None else tuple(_number(where, "effects.window", time) for time in window)
         change = Formula(carrier, terms, constants, window)

@@ -22,6 +22,7 @@ import h5py
 import numpy as np
 
 from pmcl.errors import SamplingError
+from pmcl.models.effects.formula import Formula
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 
@@ -51,6 +52,8 @@ def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
         digest.update(f"{type(part).__module__}.{type(part).__qualname__}".encode())
     for effect in bound.model.effects:
         digest.update(f"{effect.name} {sorted((key, tuple(value)) for key, value in effect.where.items())}".encode())
+        if isinstance(effect.change, Formula):
+            digest.update(repr(effect.change).encode())
     for tables in bound.tables(bound.prior_mean()):
         for table in (tables.start, tables.motion, *tables.sensors):
             _digest_table(digest, table)

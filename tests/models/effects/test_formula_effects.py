@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from pmcl.filtering.estimated_path import with_estimates
 from pmcl.models.effects.formula import FORMULA_CARRIERS, formula_effect, path_formulas, portable
 from pmcl.models.effects.terms import evaluated, motion_of_rows, needs_path, parsed
 from pmcl.models.model_file import model_of_text, model_text
+from pmcl.sampling.checkpoint import fingerprint
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -164,3 +166,13 @@ def test_files_hold_terms_constants_window_and_names():
     given = [(p.name, p.prior.dist.name, p.prior.args, p.prior.kwds) for p in model.parameters]
     assert [(p.name, p.prior.dist.name, p.prior.args, p.prior.kwds) for p in back.parameters] == given
     assert model_text(back, log) == model_text(model, log)
+    assert fingerprint(back.bind(log), {}) == fingerprint(model.bind(log), {})
+    other = replace(effects[0], change=replace(effects[0].change, constants={"begins": 1.0 / 3.0, "period": 50.0}))
+    assert fingerprint(model_with(log, other).bind(log), {}) != fingerprint(model_with(log, effects[0]).bind(log), {})
+
+
+def test_a_formula_may_have_a_name_of_its_own():
+    log = sonar_log()
+    named = formula_effect("turn", ["time"], name="warming gyro", coefficients=["warming"])
+    (back,) = model_of_text(model_text(model_with(log, named), log), log).effects
+    assert (back.name, back.change) == ("warming gyro", named.change)
