@@ -91,7 +91,7 @@ class Progress:
         Parameters
         ----------
         what : str
-            What is done with them, e.g. "refitting at a glance".
+            What is done with them, e.g. "quick fits of candidates".
         names : sequence of str
             What each is called; empty names for pieces that are all alike.
         """
@@ -121,7 +121,7 @@ class Progress:
             if self.live:
                 self._show()
             elif time.monotonic() - self._told >= self.pause:
-                self._log(f"still {self.status()}")
+                self._log(self.status() if self._watch is not None else f"still {self._stage}")
 
     def _elapsed(self) -> str:
         minutes, seconds = divmod(int(time.monotonic() - self._began), 60)

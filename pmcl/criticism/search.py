@@ -395,10 +395,10 @@ class Search:
         names = [called(effect) for effect, _ in fresh]
         glances: list[Trial | None] = [None]
         if not alone:
-            glances = self.settings.mapped(at_a_glance, "a glance at candidates", names)
+            glances = self.settings.mapped(at_a_glance, "quick fits of candidates", names)
         seen = [glance for glance in glances if glance is not None]
         able = contenders_when_lost(seen, current) if lost else contenders(seen, rivals)
-        made = [one for one in self.settings.mapped(in_earnest, "refitting candidates", names) if one is not None]
+        made = [one for one in self.settings.mapped(in_earnest, "longer fits of candidates", names) if one is not None]
         self._remember(made, particles)
         return known + made
 
@@ -418,7 +418,7 @@ class Search:
         def one(k: int) -> Trial:
             return refitted(first[k], current, self.log, self.split, seed=seed, particles=particles, effort=THOROUGH)
 
-        settled = self.settings.mapped(one, "refitting the leading candidates at length", _names_of(first))
+        settled = self.settings.mapped(one, "thorough fits of the leading candidates", _names_of(first))
         self._remember(settled, particles)
         return _replaced(trials, first, settled)
 

@@ -24,12 +24,12 @@ def test_off_a_terminal_lines_say_what_is_done_what_is_left_and_the_time(caplog)
     with Progress(True, live=False, pause=0.02) as reporter:
         run = settings(reporter, workers=1)
         run.tell("an alarm", "looking for its cause")
-        values = run.mapped(lambda k: time.sleep(0.05) or k, "refitting candidates", ["beam-bias", "arc", "bias"])
+        values = run.mapped(lambda k: time.sleep(0.05) or k, "longer fits of candidates", ["beam-bias", "arc", "bias"])
         time.sleep(0.05)
     assert values == [0, 1, 2]
     lines = [record.getMessage() for record in caplog.records]
     assert lines[0] == "[0:00] an alarm"
-    assert "[0:00] still refitting candidates: 1 of 3 done, 2 left, now arc" in lines
+    assert "[0:00] longer fits of candidates: 1 of 3 done, 2 left, now arc" in lines
     # After the pieces the step itself goes on.
     assert lines[-1] == "[0:00] still looking for its cause"
     count = len(lines)
@@ -48,7 +48,7 @@ def test_nothing_is_told_unless_asked_for(caplog):
 def test_on_a_terminal_one_line_is_kept_up_to_date(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr("sys.stderr", screen)
-    with Progress(True, live=True) as reporter, reporter.watched("refitting candidates", ["beam-bias", "arc"]) as watch:
+    with Progress(True, live=True) as reporter, reporter.watched("longer fits of candidates", ["beam-bias", "arc"]) as watch:
         watch.begin(0)
         reporter._show()
         watch.end()
@@ -59,8 +59,8 @@ def test_on_a_terminal_one_line_is_kept_up_to_date(monkeypatch):
             reporter._show()
             assert screen.getvalue() == before
     text = screen.getvalue()
-    assert "[0:00] refitting candidates: 0 of 2 done, 2 left, now beam-bias" in text
-    assert "[0:00] refitting candidates: 1 of 2 done, 1 left, now arc" in text
+    assert "[0:00] longer fits of candidates: 0 of 2 done, 2 left, now beam-bias" in text
+    assert "[0:00] longer fits of candidates: 1 of 2 done, 1 left, now arc" in text
     assert "\n" not in text
 
 
