@@ -48,7 +48,8 @@ def test_nothing_is_told_unless_asked_for(caplog):
 def test_on_a_terminal_one_line_is_kept_up_to_date(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr("sys.stderr", screen)
-    with Progress(True, live=True) as reporter, reporter.watched("longer fits of candidates", ["beam-bias", "arc"]) as watch:
+    names = ["beam-bias", "arc"]
+    with Progress(True, live=True) as reporter, reporter.watched("longer fits of candidates", names) as watch:
         watch.begin(0)
         reporter._show()
         watch.end()
