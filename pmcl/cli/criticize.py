@@ -99,13 +99,12 @@ def criticize(
     write_criticism_report(found, output, commands)
     if json_file is not None:
         found.write(json_file)
-    status = 0
     if better_posterior is not None:
         found.write_posterior(better_posterior)
-        status = tell(found.posterior)
     if better_model is not None:
         found.write_model(better_model)
     click.echo(f"{found.verdict}: {found.sentence}.")
+    status = tell(found.posterior) if better_posterior is not None else 0
     for name, written in (("report", output), ("model", better_model), ("posterior", better_posterior)):
         if written is not None:
             click.echo(f"{name}: {written}")
