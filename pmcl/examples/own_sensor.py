@@ -44,7 +44,7 @@ def _has_reading(sensor, t):
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     # The n columns of `current` are poses (x, y, heading). The log density of each is added to `logp`.
     for i in range(logp.size):
-        error = math.remainder(sensor.heading[t] - current[2, i], 2.0 * math.pi) / sensor.std
+        error = ((sensor.heading[t] - current[2, i] + math.pi) % (2.0 * math.pi) - math.pi) / sensor.std
         logp[i] -= 0.5 * error * error + math.log(sensor.std) + 0.5 * math.log(2.0 * math.pi)
 
 

@@ -160,6 +160,11 @@ class RobotLog(LogArrays):
         ------
         LogError, MapError
             When shapes disagree, or the log is not valid.
+
+        See Also
+        --------
+        pmcl.logs.odometry_from_poses, pmcl.logs.odometry_from_velocities : The column `odometry`.
+        pmcl.logs.row_times, pmcl.logs.landmark_rows, pmcl.logs.beam_rows : Rows from streams with clocks of their own.
         """
         for name, given in (("true_theta", true_theta), ("attributes", attributes)):
             if given is not None:
