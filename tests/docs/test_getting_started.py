@@ -1,4 +1,4 @@
-"""The notebook for beginners is whole: executed in order, without errors or warnings, and small enough to load at once."""
+"""The notebook for beginners is whole: executed in order, without errors or warnings, and small."""
 
 from __future__ import annotations
 
