@@ -1,8 +1,6 @@
 """A sensor of your own: a compass that reads the robot's heading, beside the landmarks that it sees.
 
-A sensor has three parts: a table of arrays, all that compiled code sees; kernels, plain functions that numba compiles
-and that pmcl finds by the type of the table (pmcl.filtering.kernels.contract describes them); and classes that name the
-parameters and make the table. A motion model of your own is written in the same way.
+Its parts: a table, functions of that table for numba (pmcl.filtering.kernels.contract), classes (pmcl.models.parts).
 """
 
 import math
@@ -19,7 +17,7 @@ from pmcl.robots import simulate_landmark_field
 
 
 class CompassReadings(NamedTuple):
-    """Headings (T,) [rad], NaN where there is none, and their standard deviation [rad]."""
+    """All that compiled code sees: headings (T,) [rad], NaN where there is none, and their standard deviation [rad]."""
 
     heading: Any
     std: float
@@ -51,8 +49,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
 # The next two are for the transport move, which makes the chains mix. Without them calibration works, only slower.
 @reading_geometry.register
 def _(table: CompassReadings, reference: Any) -> CompassReadings:
-    error = np.remainder(table.heading - reference[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    return CompassReadings(error, table.std)
+    return CompassReadings(np.remainder(table.heading - reference[:, 2] + np.pi, 2.0 * np.pi) - np.pi, table.std)
 
 
 @contract.linear_information.register(CompassReadings, allocates=False)
@@ -65,9 +62,7 @@ def _linear_information(sensor, geometry, t, precision, shift):
 class Compass(NamedTuple):
     """A compass with unknown noise, for logs with a variable `compass` (time) [rad]."""
 
-    parameters: tuple[pmcl.Parameter, ...] = (
-        pmcl.Parameter("sigma_compass", "rad", stats.gamma(2.0, scale=0.05), "noise of a compass reading"),
-    )
+    parameters: tuple[pmcl.Parameter, ...] = (pmcl.Parameter("sigma_compass", "rad", stats.gamma(2.0, scale=0.05)),)
 
     def bind(self, log: pmcl.RobotLog) -> Any:  # noqa: D102
         return BoundCompass(np.array(log.dataset["compass"], dtype=float))
@@ -85,13 +80,18 @@ class BoundCompass(NamedTuple):
         """Offer no sums of squares: each Metropolis step then evaluates the density."""
 
 
-def main(n_steps: int = 200, draws: int = 1000) -> None:
-    """Add a compass with noise of 0.04 rad to a simulated robot, and calibrate it."""
-    field = simulate_landmark_field(n_steps, seed=3)
-    heading = field.dataset["true_pose"].values[:, 2] + np.random.default_rng(4).normal(0.0, 0.04, n_steps)
-    log = pmcl.RobotLog.from_dataset(field.dataset.assign(compass=("time", heading)))
-    data = pmcl.calibrate(log, RobotModel(sensors=(LandmarkNoise(bearing=False), Compass())), draws=draws)
-    print(f"sigma_compass = {float(data.posterior['sigma_compass'].mean()):.4f} rad; simulated with 0.04")
+def record() -> pmcl.RobotLog:
+    """Add a compass with noise of 0.04 rad to the log of a simulated robot."""
+    field = simulate_landmark_field(200, seed=3)
+    heading = field.dataset["true_pose"].values[:, 2] + np.random.default_rng(4).normal(0.0, 0.04, 200)
+    return pmcl.RobotLog.from_dataset(field.dataset.assign(compass=("time", heading)))
+
+
+def main(draws: int = 1000) -> None:
+    """Calibrate the robot with its compass."""
+    data = pmcl.calibrate(record(), RobotModel(sensors=(LandmarkNoise(bearing=False), Compass())), draws=draws)
+    sigma = data.posterior["sigma_compass"]
+    print(f"sigma_compass = {float(sigma.mean()):.4f} +- {float(sigma.std()):.4f} rad; simulated with 0.04")
     print(pmcl.verdict(data).message)
 
 

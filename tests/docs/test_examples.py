@@ -5,11 +5,13 @@ from __future__ import annotations
 import importlib
 import re
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from pmcl.cli.commands import pmcl as application
-from pmcl.examples import apriltags, example_names, example_text, own_robot
+from pmcl.examples import apriltags, example_names, example_text, own_robot, own_sensor
+from pmcl.geometry import wrap
 
 
 def run(*arguments):
@@ -59,8 +61,37 @@ EXPECTED = {
     "own_robot": ("sigma_landmark_range", 0.05, 0.015),
     "apriltags": ("sigma_landmark_range", 0.06, 0.015),
     "own_effect": ("torque_steer", 0.6, 0.3),
-    "own_sensor": ("sigma_compass", 0.04, 0.015),
 }
+
+
+def exact_compass_noise():
+    """Mean and standard deviation of sigma_compass given the compass and the odometry's turns, by a Kalman filter.
+
+    A grid over both standard deviations. Distances to landmarks tell next to nothing more about the heading.
+    """
+    log, prior = own_sensor.record(), own_sensor.Compass().parameters[0].prior
+    reading, turn = log.dataset["compass"].values, log.odometry[:, 2]
+    sigma_turn, sigma = np.meshgrid(np.linspace(0.005, 0.07, 60), np.linspace(0.02, 0.08, 80), indexing="ij")
+    mean, variance, logp = log.start_mean[2], np.full(sigma.shape, log.start_std[2] ** 2), prior.logpdf(sigma)
+    for t in range(log.n_steps):
+        if t > 0:
+            mean, variance = mean + turn[t], variance + sigma_turn**2
+        error, total = wrap(reading[t] - mean), variance + sigma**2
+        logp = logp - 0.5 * np.log(total) - 0.5 * error**2 / total
+        mean, variance = mean + variance / total * error, variance * sigma**2 / total
+    weight = np.exp(logp - logp.max())
+    centre = np.average(sigma, weights=weight)
+    return centre, np.sqrt(np.average((sigma - centre) ** 2, weights=weight))
+
+
+@pytest.mark.slow
+def test_the_sensor_of_the_example_gives_the_exact_posterior(tmp_path, monkeypatch, capsys):
+    own_sensor.main(draws=500)
+    mean, spread = (float(x) for x in re.search(r"= ([\d.]+) \+- ([\d.]+)", capsys.readouterr().out).groups())
+    exact, exact_spread = exact_compass_noise()
+    # A thousand effective draws or more: five Monte Carlo errors are a sixth of a standard deviation.
+    assert abs(mean - exact) < exact_spread / 6.0 + 1e-4
+    assert spread == pytest.approx(exact_spread, rel=0.15)
 
 
 @pytest.mark.slow
@@ -75,4 +106,4 @@ def test_examples_find_what_they_simulate(name, tmp_path, monkeypatch, capsys):
 
 
 def test_every_example_is_run():
-    assert set(EXPECTED) == set(example_names())
+    assert {*EXPECTED, "own_sensor"} == set(example_names())
