@@ -9,6 +9,7 @@ capture gives the true path; neither the critic nor the filters read it.
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -23,13 +24,18 @@ from pmcl.models.robot_model import RobotModel, default_model
 ROBOT = "Create 2"
 PICTURE = HERE.parent / "pictures" / "before_and_after.png"
 # Seconds of the drive that the maps show; the whole path would cross itself too often to be read.
-SHOWN = 100.0
+SHOWN = 150.0
 BEFORE, AFTER, TRUE = "#D55E00", "#0072B2", "black"
+
+
+def stored() -> Path:
+    """Return the file with what the critic said."""
+    return HERE / f"{ROBOT.replace(' ', '_').lower()}.json"
 
 
 def models(log: RobotLog) -> tuple[tuple[RobotModel, dict[str, float]], ...]:
     """Return base model and final model of the stored criticism, each with its posterior means."""
-    found = json.loads((HERE / f"{ROBOT.replace(' ', '_').lower()}.json").read_text())
+    found = json.loads(stored().read_text())
     base = default_model(log)
     effects = tuple(effect_named(one["name"], log, one["where"]) for one in found["effects"])
     return tuple(
@@ -69,6 +75,53 @@ def draw_map(axes, log: RobotLog, path: np.ndarray, window: slice, color: str) -
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def draw_errors(axes, times: np.ndarray, errors: list[np.ndarray], window: slice) -> None:
+    for error, color, name in zip(errors, (BEFORE, AFTER), ("before", "after"), strict=True):
+        axes.plot(times, error, color=color, linewidth=1.0, label=name)
+    axes.axvspan(times[window][0], times[window][-1], color="#DDDDDD", linewidth=0)
+    place = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "top"}
+    axes.text(times[window].mean(), 0.98, "shown above", fontsize=9, **place)
+    axes.set(xlabel="time [s]", ylabel="position error [m]", ylim=(0.0, None), xlim=(0.0, times[-1]))
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def draw_posteriors(axes) -> None:
+    """Draw mean and 90 % interval of each noise parameter before and after, on one scale of powers of ten."""
+    parameters = json.loads(stored().read_text())["parameters"]
+    names = [name for name in parameters["before"] if name.startswith("sigma_")]
+    for when, color, offset in (("before", BEFORE, -0.15), ("after", AFTER, 0.15)):
+        mean, sd = np.array([[parameters[when][name][key] for key in ("mean", "sd")] for name in names]).T
+        axes.errorbar(mean, np.arange(len(names)) + offset, xerr=1.645 * sd, fmt="o", color=color, markersize=4)
+    axes.set_xscale("log")
+    axes.set_xlim(0.008, 0.15)
+    axes.set_xticks([0.01, 0.03, 0.1], ["0.01", "0.03", "0.1"])
+    axes.minorticks_off()
+    axes.set_yticks(range(len(names)), [f"{name} [{parameters['before'][name]['unit']}]" for name in names], fontsize=9)
+    axes.invert_yaxis()
+    axes.set_xlabel("posterior of the noise")
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def draw(log: RobotLog, runs: list[Runs], path: Path) -> None:
+    rmse = [float(np.nanmean(one.position_rmse)) for one in runs]
+    chosen = [typical_run(one) for one in runs]
+    errors = [one.position_error[k] for one, k in zip(runs, chosen, strict=True)]
+    window = typical_window(log.times, errors, rmse)
+    figure = Figure(figsize=(9.2, 7.4), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=[2.3, 1.0])
+    maps = above.subplots(1, 2, sharex=True, sharey=True)
+    titles = ("before: noise alone", "after: with what the critic found")
+    for axes, title, one, k, value, color in zip(maps, titles, runs, chosen, rmse, (BEFORE, AFTER), strict=True):
+        draw_map(axes, log, one.pose_mean[k], window, color)
+        axes.set_title(f"{title}\nerror {value:.2f} m", fontsize=13, color=color, weight="bold")
+    maps[0].set_ylabel("y [m]")
+    maps[0].legend(loc="upper right", fontsize=9, frameon=False)
+    left, right = below.subplots(1, 2, width_ratios=[1.7, 1.0])
+    draw_errors(left, log.times, errors, window)
+    draw_posteriors(right)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+
+
 def main() -> None:
     """Localize with both models and draw."""
     log = recordings()[ROBOT]
@@ -76,29 +129,9 @@ def main() -> None:
         localize_many(log, model, theta=theta, repetitions=REPETITIONS, particles=PARTICLES)
         for model, theta in models(log)
     ]
-    rmse = [float(np.nanmean(one.position_rmse)) for one in runs]
-    print(", ".join(f"{when} {value:.4f} m" for when, value in zip(("before", "after"), rmse, strict=True)))
-    chosen = [typical_run(one) for one in runs]
-    errors = [one.position_error[k] for one, k in zip(runs, chosen, strict=True)]
-    window = typical_window(log.times, errors, rmse)
-    figure = Figure(figsize=(9.0, 6.6), layout="constrained")
-    grid = figure.subplot_mosaic([["before", "after"], ["error", "error"]], height_ratios=[3.0, 1.0])
-    names = ("before", "after")
-    titles = ("noise alone", "with the effects that pmcl criticize found")
-    for name, title, one, k, value, color in zip(names, titles, runs, chosen, rmse, (BEFORE, AFTER), strict=True):
-        draw_map(grid[name], log, one.pose_mean[k], window, color)
-        grid[name].set_title(f"{title}: {value:.2f} m", fontsize=12, color=color, weight="bold")
-    grid["before"].set_ylabel("y [m]")
-    axes = grid["error"]
-    for error, color in zip(errors, (BEFORE, AFTER), strict=True):
-        axes.plot(log.times, error, color=color, linewidth=1.0)
-    axes.axvspan(log.times[window][0], log.times[window][-1], color="#DDDDDD", linewidth=0)
-    axes.text(log.times[window].mean(), 0.97, "shown above", transform=axes.get_xaxis_transform(), ha="center", va="top")
-    axes.set(xlabel="time [s]", ylabel="position error [m]", ylim=(0.0, None), xlim=(0.0, log.times[-1]))
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(*grid["before"].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.savefig(PICTURE, dpi=130, metadata={"Software": None})
-    print(f"{PICTURE}: {PICTURE.stat().st_size / 1000:.0f} kB")
+    rmse = [f"{when} {np.nanmean(one.position_rmse):.4f} m" for when, one in zip(("before", "after"), runs, strict=True)]
+    draw(log, runs, PICTURE)
+    print(f"{', '.join(rmse)}; {PICTURE}: {PICTURE.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

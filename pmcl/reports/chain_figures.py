@@ -14,7 +14,17 @@ from scipy import stats
 from pmcl.posterior.access import log_joint, parameter_names, parameter_units, theta_draws, true_theta
 from pmcl.posterior.compat import Posterior, bulk_ess, tail_ess
 from pmcl.posterior.diagnostics import ESS_LIMIT
-from pmcl.reports.style import FAINT, POSTERIOR, TRUTH, chain_color, evenly_spaced, labelled, legend_above, new_figure, tidy
+from pmcl.reports.style import (
+    FAINT,
+    POSTERIOR,
+    TRUTH,
+    chain_color,
+    evenly_spaced,
+    labelled,
+    legend_above,
+    new_figure,
+    tidy,
+)
 
 __all__ = ["plot_autocorrelation", "plot_ess_evolution", "plot_rank", "plot_trace"]
 

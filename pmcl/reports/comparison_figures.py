@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from pmcl.comparison.compare import Comparison
 from pmcl.posterior.diagnostics import R_HAT_LIMIT
@@ -26,14 +29,18 @@ def plot_comparison(comparison: Comparison) -> Figure:
     matplotlib.figure.Figure
     """
     figure = new_figure(7.2)
-    grid = figure.subplots(2, 2, sharex=True)
-    panels = (
-        (grid[0, 0], "r_hat", "R-hat - 1 (worst parameter)"),
-        (grid[0, 1], "ess", "effective draws (worst parameter)"),
-        (grid[1, 0], "error", "distance from reference [posterior sd]"),
-        (grid[1, 1], "error_of_truth", "distance from truth [posterior sd]"),
-    )
-    for axes, name, label in panels:
+    curves = [
+        ("r_hat", "R-hat - 1 (worst parameter)"),
+        ("ess", "effective draws (worst parameter)"),
+        ("error", "distance from reference [posterior sd]"),
+    ]
+    if comparison.truth is not None:
+        curves.append(("error_of_truth", "distance from truth [posterior sd]"))
+    grid = list(figure.subplots(2, 2, sharex=True).flat)
+    for axes in grid[len(curves) :]:
+        axes.remove()
+    grid = grid[: len(curves)]
+    for axes, (name, label) in zip(grid, curves, strict=True):
         for number, result in enumerate(comparison.results):
             values = getattr(result.curve, name) - (1.0 if name == "r_hat" else 0.0)
             # On a logarithmic scale an R-hat below 1, which chance allows, has no place.
@@ -42,15 +49,15 @@ def plot_comparison(comparison: Comparison) -> Figure:
         axes.set_yscale("log")
         axes.set_ylabel(label)
         tidy(axes)
-    grid[0, 0].axhline(R_HAT_LIMIT - 1.0, **TRUTH)
-    _reference_error(grid[1, 0], comparison)
-    if comparison.truth is None:
-        grid[1, 1].clear()
-        grid[1, 1].set_axis_off()
-        grid[1, 1].text(0.5, 0.5, "true parameters not known", ha="center", transform=grid[1, 1].transAxes)
-    for axes in grid[1]:
+    grid[0].axhline(R_HAT_LIMIT - 1.0, **TRUTH)
+    handles: list[Any] = [*_handles(comparison), Line2D([], [], label="limit of R-hat", **TRUTH)]
+    if np.isfinite(comparison.reference.error):
+        _reference_error(grid[2], comparison)
+        handles.append(Patch(color=FAINT, alpha=0.35, label="error of the reference itself"))
+    for axes in grid[-2:]:
         axes.set_xlabel("time since the start of the run [s]")
-    legend_above(figure, _handles(comparison))
+        axes.tick_params(labelbottom=True)
+    legend_above(figure, handles)
     return figure
 
 
@@ -90,7 +97,7 @@ def plot_means(comparison: Comparison) -> Figure:
     axes.invert_yaxis()
     axes.set_xlabel("mean and standard deviation [sd of the reference, from its mean]")
     tidy(axes)
-    handles = _handles(comparison)
+    handles: list[Any] = [*_handles(comparison), Patch(color=FAINT, alpha=0.35, label="sd of the reference")]
     if comparison.truth is not None:
         handles.append(Line2D([], [], label="truth", **TRUTH))
     legend_above(figure, handles)
@@ -99,9 +106,7 @@ def plot_means(comparison: Comparison) -> Figure:
 
 def _reference_error(axes: Axes, comparison: Comparison) -> None:
     """Below its own Monte Carlo error the reference can tell nothing apart."""
-    error = comparison.reference.error
-    if np.isfinite(error):
-        axes.axhspan(axes.get_ylim()[0], error, color=FAINT, alpha=0.35, linewidth=0, label="error of the reference")
+    axes.axhspan(axes.get_ylim()[0], comparison.reference.error, color=FAINT, alpha=0.35, linewidth=0)
 
 
 def _handles(comparison: Comparison) -> list[Line2D]:

@@ -10,7 +10,7 @@ import numpy as np
 from pmcl.comparison.compare import Comparison, MethodResult
 from pmcl.posterior.diagnostics import R_HAT_LIMIT
 from pmcl.reports.comparison_figures import plot_comparison, plot_means
-from pmcl.reports.html import embedded, page, write_page
+from pmcl.reports.html import page, picture, write_page
 from pmcl.reports.tables import Row, Table, aligned, rounded
 
 __all__ = [
@@ -63,26 +63,22 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
     PosteriorError
         If the file cannot be written.
     """
-    figures = [
-        {
-            "title": "Convergence against time",
-            "source": embedded(plot_comparison(comparison)),
-            "caption": (
-                "Each curve begins where the method's burn-in ends. Left above: R-hat of the worst parameter. Right "
-                "above: its effective sample size. Below: distance of the posterior mean from that of the reference "
-                f"{comparison.reference_method}, and from the true parameters where they are known, in standard "
-                "deviations of the posterior. The distance from the truth does not go to zero: the posterior itself "
-                "is about one standard deviation away from it."
-            ),
-        },
-        {
-            "title": "Where the means ended",
-            "source": embedded(plot_means(comparison)),
-            "caption": (
-                "Posterior mean and standard deviation of each parameter, relative to the reference: 0 is its mean, "
-                "the grey band its standard deviation. A method whose bars lie elsewhere samples another density."
-            ),
-        },
+    pictures = [
+        picture(
+            plot_comparison(comparison),
+            "Convergence against time",
+            "Each curve begins where the burn-in of the method ends. Above, left: R-hat of the worst parameter, minus "
+            "its ideal value 1. Above, right: its effective sample size. Below: distance of the posterior mean from "
+            f"that of the reference {comparison.reference_method}, and from the true parameters where they are known, "
+            "in standard deviations of the posterior. The distance from the truth does not go to zero: the posterior "
+            "itself is about one standard deviation away from it.",
+        ),
+        picture(
+            plot_means(comparison),
+            "Where the means ended",
+            "Posterior mean and standard deviation of each parameter, relative to the reference: 0 is its mean, the "
+            "grey band its standard deviation. A method whose bars lie elsewhere samples another density.",
+        ),
     ]
     settings = [
         ("log", comparison.log),
@@ -93,12 +89,15 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
         ("R-hat of the reference", f"{comparison.reference.r_hat:.4f}"),
         ("effective draws of the reference", f"{comparison.reference.ess:.0f}"),
     ]
+    table = comparison_table(comparison)
     text = page(
         "comparison.html.j2",
         title="Methods compared",
+        subject=f"{comparison.log}; {comparison.seconds:g} s for each method, {comparison.chains} chains.",
         verdict=comparison_verdict(comparison),
-        table=comparison_table(comparison),
-        figures=figures,
+        table=table,
+        is_short=lambda row, column: table.rows[row].short and column in table.checked,
+        pictures=pictures,
         methods=[(str(result.method), result.method.description) for result in comparison.results],
         settings=settings,
     )
@@ -122,7 +121,7 @@ def comparison_table(comparison: Comparison) -> Table:
             f"{curve.cpu[-1]:.1f}",
             _number(curve.r_hat[-1], 3),
             _number(curve.ess[-1], 0) if counted else "-",
-            f"{result.ess_per_cpu_second:.2g}" if counted else "-",
+            _rate(result.ess_per_cpu_second) if counted else "-",
             rounded(float(curve.error[-1]), 0.1 * float(curve.error[-1])),
             f"{expected_error(comparison, result):.2g}" if counted else "-",
         ]
@@ -212,3 +211,8 @@ def _elsewhere(comparison: Comparison, result: MethodResult) -> bool:
 
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"
+
+
+def _rate(value: float) -> str:
+    """Return a number with two digits, or more before the point."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"

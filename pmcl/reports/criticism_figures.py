@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy import special
 
@@ -19,6 +22,8 @@ __all__ = ["plot_candidates", "plot_channels", "plot_gains", "plot_map", "plot_p
 Float = NDArray[np.float64]
 
 _WINDOW = 15
+# Where the scale of surprise has ticks.
+_SURPRISE_TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 _TIME_BINS = 40
 _MOST_CANDIDATES = 14
 _ACCEPTED, _REJECTED = "#009E73", "#D55E00"
@@ -50,7 +55,11 @@ def plot_map(found: Criticism) -> Figure:
         axes.set_xlabel("x [m]")
         axes.set_ylabel("y [m]")
         tidy(axes)
-    figure.colorbar(lines, ax=list(grid), label="mean squared surprise (1: as foreseen)", shrink=0.85)
+    bar = figure.colorbar(lines, ax=list(grid), label="mean squared surprise (1: as foreseen)", shrink=0.85)
+    ticks = [tick for tick in _SURPRISE_TICKS if tick <= top]
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+    bar.minorticks_off()
+    legend_above(figure, [*grid[0].collections, *grid[0].get_lines()])
     return figure
 
 
@@ -102,11 +111,14 @@ def plot_candidates(found: Criticism, number: int = 0) -> Figure:
     figure = new_figure(0.9 + 0.28 * max(3, len(ranked)))
     axes = figure.subplots()
     colors = [_ACCEPTED if one.accepted else POSTERIOR for one in ranked]
+    handles: list[Any] = [Patch(color=POSTERIOR, label="candidate")]
+    if any(one.accepted for one in ranked):
+        handles.append(Patch(color=_ACCEPTED, label="added to the model"))
     axes.barh(np.arange(len(ranked)), [abs(one.z) for one in ranked], color=colors)
     axes.set_yticks(np.arange(len(ranked)), [label_of(one) for one in ranked], fontsize=9)
     if np.isfinite(step.critical_z):
-        axes.axvline(step.critical_z, color="black", linestyle=":", label="critical value (5 %)")
-        legend_above(figure, axes.get_lines())
+        handles.append(axes.axvline(step.critical_z, color="black", linestyle=":", label="critical value (5 %)"))
+    legend_above(figure, handles)
     axes.set_xlabel("deviation of the score [standard normal]")
     tidy(axes)
     return figure
@@ -179,8 +191,9 @@ def _heat(evidence: Evidence) -> tuple[list[str], Float, Float]:
 
 def _draw_map(axes: Axes, found: Criticism) -> None:
     if found.log.walls is not None:
-        axes.add_collection(LineCollection(list(found.log.walls.segments), colors="black", linewidths=1.0))
+        walls = list(found.log.walls.segments)
+        axes.add_collection(LineCollection(walls, colors="black", linewidths=1.0, label="walls"))
     if found.log.landmarks is not None:
-        axes.plot(*found.log.landmarks.positions.T, "^", color="black", markersize=5)
+        axes.plot(*found.log.landmarks.positions.T, "^", color="black", markersize=5, label="landmarks")
 
 

@@ -7,13 +7,16 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pmcl.criticism.result import Candidate, Criticism, Estimate
+from pmcl.criticism.alarms import Alarm
+from pmcl.criticism.result import Criticism, Estimate, Step, Unexplained
 from pmcl.criticism.verdict import called, channels_of
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
-from pmcl.reports.html import embedded, page, write_page
-from pmcl.reports.posterior_report import Picture
+from pmcl.reports.html import Picture, page, picture, write_page
 
 __all__ = ["write_criticism_report"]
+
+# Position of the answer "yes" or "no" in the table of alarms.
+_ALARM_COLUMN = 5
 
 
 def write_criticism_report(
@@ -35,48 +38,87 @@ def write_criticism_report(
     PosteriorError
         If the file cannot be written.
     """
+    alarms = [(_stage(step.model), alarm) for step in found.steps for alarm in step.alarms]
     text = page(
         "criticism.html.j2",
-        title="What the model lacks",
+        title=f"What the model of {found.log.dataset.attrs.get('robot') or 'the robot'} lacks",
+        subject=_subject(found),
         verdict=found.verdict,
         sentence=found.sentence,
         good=found.verdict != "unknown effect",
         effects=found.effects,
-        unexplained=[(one, channels_of(one, found.log)) for one in found.unexplained],
+        unexplained=[_unexplained_row(one, found) for one in found.unexplained],
         notes=found.notes,
         commands=commands if found.effects else (),
         number=_number,
         called=called,
         parameters=_parameters(found),
         gaps=_gaps(found),
-        alarms=[(_stage(step.model), step.alarms) for step in found.steps],
+        alarms=[_alarm_row(stage, alarm) for stage, alarm in alarms],
+        raised=lambda row, column: column == _ALARM_COLUMN and alarms[row][1].raised,
         pictures=_pictures(found),
-        steps=[(n + 1, step, _rejected(step.candidates)) for n, step in enumerate(found.steps)],
-        label=label_of,
+        rejected=[row for number, step in enumerate(found.steps) for row in _rejected_rows(number + 1, step)],
         settings=sorted(found.settings.items()),
     )
     write_page(text, path)
 
 
+def _subject(found: Criticism) -> str:
+    log = found.log
+    length = f"{log.n_steps} rows over {log.times[-1] - log.times[0]:.0f} s, {log.n_readings} readings"
+    return f"{log.where}; {length}; the rows from {found.split} on are held out." if log.where else f"{length}."
+
+
+def _unexplained_row(one: Unexplained, found: Criticism) -> tuple[str, ...]:
+    where = f"{_number(one.interval[0])} to {_number(one.interval[1])}" if one.covariate else "-"
+    rows = f"{one.time[0]} to {one.time[1]}"
+    channels = channels_of(one, found.log) or "all"
+    return (one.channel, channels, one.covariate or "-", one.moment, where, rows, _number(one.p_value))
+
+
+def _alarm_row(stage: str, alarm: Alarm) -> tuple[str, ...]:
+    worst = f"{alarm.worst.kind} {alarm.worst.channel}" if alarm.worst.channel >= 0 else str(alarm.worst.kind)
+    raised = "yes" if alarm.raised else "no"
+    told = f"{worst} {alarm.worst.covariate}".strip()
+    return (stage, alarm.family, told, _number(alarm.z), _number(alarm.p_value), raised)
+
+
+def _rejected_rows(number: int, step: Step) -> list[tuple[str, ...]]:
+    rejected = [one for one in step.candidates if math.isfinite(one.log_score_gain) and not one.accepted]
+    if not rejected:
+        return [(str(number), step.decision, "-", "", "", "")]
+    return [
+        (
+            str(number),
+            step.decision,
+            label_of(one),
+            _number(one.z),
+            f"{_number(one.fit_gain)} ± {_number(one.fit_gain_se)}",
+            f"{_number(one.log_score_gain)} ± {_number(one.log_score_gain_se)}",
+        )
+        for one in rejected
+    ]
+
+
 def _pictures(found: Criticism) -> list[Picture]:
     pictures = [
-        Picture(
+        picture(
+            plot_map(found),
             "Where on the map",
             "The path, coloured by how badly readings were foreseen there. Dark stretches are where model and log "
             "disagree most.",
-            embedded(plot_map(found)),
         ),
-        Picture(
+        picture(
+            plot_channels(found),
             "Which channel, and when",
-            "Each line is a channel. Red: it read longer than foreseen, blue: shorter, in standard errors of each "
-            "cell's mean. A line of one colour is a biased channel, a column a moment at which the pose was wrong.",
-            embedded(plot_channels(found)),
+            "Each line is a channel. Red: it read longer than foreseen, blue: shorter, in standard errors of the mean "
+            "of each cell. A line of one colour is a biased channel, a column a moment at which the pose was wrong.",
         ),
-        Picture(
+        picture(
+            plot_pit(found),
             "Are predictions as uncertain as they should be?",
-            "Distribution of the probability integral transforms, minus the uniform one. A slope up and down is a "
-            "bias, an S a wrong spread; within the grey band nothing can be said.",
-            embedded(plot_pit(found)),
+            "Distribution of the probability integral transforms, minus the even one. A slope up and down is a bias, "
+            "an S a wrong spread; within the grey band nothing can be said.",
         ),
     ]
     for number, step in enumerate(found.steps):
@@ -84,27 +126,23 @@ def _pictures(found: Criticism) -> list[Picture]:
             continue
         of = f"model with {' and '.join(step.model)}" if step.model else "base model"
         pictures.append(
-            Picture(
+            picture(
+                plot_candidates(found, number),
                 f"Candidates: scores of the {of}",
-                "How strongly the log asks for each effect, the model's own parameters projected out. Bars beyond the "
-                "dotted line are remarkable; ranking decides only what is refitted.",
-                embedded(plot_candidates(found, number)),
+                "How strongly the log asks for each effect, after the model's own parameters have explained what they "
+                "can. Bars beyond the dotted line are remarkable; the ranking decides only what is refitted.",
             )
         )
         if any(math.isfinite(one.log_score_gain) for one in step.candidates):
             pictures.append(
-                Picture(
+                picture(
+                    plot_gains(found, number),
                     f"Candidates: gains over the {of}",
-                    "What each refitted candidate is worth, with two standard errors. The fit part names the "
-                    "effect, the held-out part decides whether it is accepted.",
-                    embedded(plot_gains(found, number)),
+                    "What each refitted candidate is worth, with two standard errors. The fit part names the effect, "
+                    "the held-out part decides whether it is accepted.",
                 )
             )
     return pictures
-
-
-def _rejected(candidates: tuple[Candidate, ...]) -> list[Candidate]:
-    return [one for one in candidates if math.isfinite(one.log_score_gain) and not one.accepted]
 
 
 def _parameters(found: Criticism) -> list[tuple[str, str, str, str]]:

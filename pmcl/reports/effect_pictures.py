@@ -28,6 +28,8 @@ _UNITS = {
     "true range": "m", "range": "m", "range error": "m", "true distance": "m", "distance error": "m",
     "true bearing": "rad", "bearing error": "rad", "apparent size": "pixel",
 }  # fmt: skip
+_LINE: dict[str, Any] = {"linewidth": 1.2}
+_DOTS: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 3.5, "alpha": 0.6}
 _COUNTED = ("beam", "landmark")
 # Rows of a drive that a picture of its path shows: later the two paths only cross.
 _PATH_ROWS = 40
@@ -141,12 +143,18 @@ def plot_effect(effect: Effect) -> EffectPicture | None:
         _draw_columns(axes, shown, view)
     tidy(axes)
     axes.tick_params(labelsize=8)
-    axes.xaxis.label.set_size(9)
-    axes.yaxis.label.set_size(9)
+    axes.xaxis.label.set_fontsize(9)
+    axes.yaxis.label.set_fontsize(9)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.yaxis.set_major_locator(MaxNLocator(5))
     figure.legend(
-        loc="outside upper center", ncols=3, frameon=False, fontsize=8, handletextpad=0.3, columnspacing=1.0, markerscale=1.5
+        loc="outside upper center",
+        ncols=3,
+        frameon=False,
+        fontsize=8,
+        handletextpad=0.3,
+        columnspacing=1.0,
+        markerscale=1.5,
     )
     return EffectPicture(figure, _caption(shown, view))
 
@@ -198,8 +206,7 @@ def _draw_columns(axes: Axes, shown: Demonstration, view: _View) -> None:
         across, up = _chosen(drive, view)
         if view.across in _COUNTED:
             across = across + aside
-        style: dict[str, Any] = {"linewidth": 1.2} if view.line else {"linestyle": "", "marker": ".", "markersize": 3.5, "alpha": 0.6}
-        axes.plot(across, up, color=color, label=label, **style)
+        axes.plot(across, up, color=color, label=label, **(_LINE if view.line else _DOTS))
     axes.set_xlabel(labelled(view.across, _UNITS.get(view.across, "")))
     axes.set_ylabel(labelled(view.up, _UNITS.get(view.up, "")))
 

@@ -134,7 +134,7 @@ def _whole_range(axes: Axes, prior: Float, draws: Float) -> None:
     low, high = np.quantile(prior, [outside, 1.0 - outside])
     low, high = min(float(low), float(draws.min())), max(float(high), float(draws.max()))
     if high > low:
-        axes.hist(prior, bins=np.linspace(low, high, 31), density=True, color=FAINT)
+        axes.hist(prior, bins=30, range=(low, high), density=True, color=FAINT)
         axes.set_xlim(low, high)
     interval = np.quantile(draws, [0.05, 0.95])
     axes.axvspan(*interval, color=POSTERIOR, alpha=0.9, linewidth=1.5)

@@ -1,4 +1,4 @@
-"""One page about a posterior: the verdict, where the robot was, the parameters, the readings, the chains, the settings."""
+"""One page about a posterior: verdict, path, parameters, readings, chains and settings, in this order."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ _PARAMETER_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] =
     (
         "Prior and posterior",
         plot_marginals,
-        "Left: the prior in grey, and in blue the 90 % interval of the posterior on the same scale. A narrow blue stripe "
-        "on a wide prior means that the log tells the parameter; where they are equally wide, it tells little. Right: "
-        "the posterior enlarged.",
+        "Left: the prior in grey, and in blue the 90 % interval of the posterior on the same scale. A narrow blue "
+        "stripe on a wide prior means that the log tells the parameter; where they are equally wide, it tells little. "
+        "Right: the posterior enlarged.",
     ),
     (
         "Parameters against each other",

@@ -116,8 +116,8 @@ def _over_time(axes: Axes, times: Float, scores: Float) -> None:
 
 def _distribution(axes: Axes, scores: Float) -> None:
     finite = np.clip(scores[np.isfinite(scores)], -_LARGEST, _LARGEST)
-    bins = np.linspace(-_LARGEST, _LARGEST, 33)
-    axes.hist(finite, bins=bins, density=True, orientation="horizontal", color=POSTERIOR, alpha=0.4)
+    span = (-_LARGEST, _LARGEST)
+    axes.hist(finite, bins=32, range=span, density=True, orientation="horizontal", color=POSTERIOR, alpha=0.4)
     height = np.linspace(-_LARGEST, _LARGEST, 161)
     axes.plot(stats.norm.pdf(height), height, color="black", linewidth=1.0)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
 __all__ = [
@@ -35,6 +35,9 @@ TRUTH: dict[str, Any] = {"color": "black", "linestyle": (0, (4, 2)), "linewidth"
 
 # Powers of ten between which numbers at ticks are written in full, such as 0.002.
 _PLAIN_POWERS = (-4, 5)
+
+# On a logarithmic axis with less than this between its ends, powers of ten alone would be too few ticks.
+_FEW_DECADES = 50.0
 
 # Letters in a line of a narrow label, and in an inch of a legend.
 _NARROW = 14
@@ -110,6 +113,9 @@ def tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=9)
     for axis in (axes.xaxis, axes.yaxis):
         if axis.get_scale() == "log":
+            low, high = axis.get_view_interval()
+            steps = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+            axis.set_major_locator(LogLocator(subs=steps))
             axis.set_major_formatter(FuncFormatter(_plain))
             axis.set_minor_formatter(NullFormatter())
         elif isinstance(axis.get_major_formatter(), ScalarFormatter):

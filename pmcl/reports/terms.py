@@ -192,7 +192,7 @@ class _Writer(HTMLParser):
         self.written.append(data if silent else self._marked(data))
 
     def _marked(self, data: str) -> str:
-        found = []
+        found: list[tuple[int, int, Term]] = []
         for term in self._unseen:
             match = re.search(term.pattern, data)
             if match and not any(match.start() < end and start < match.end() for start, end, _ in found):
