@@ -129,9 +129,9 @@ def main() -> None:
         localize_many(log, model, theta=theta, repetitions=REPETITIONS, particles=PARTICLES)
         for model, theta in models(log)
     ]
-    rmse = [f"{when} {np.nanmean(one.position_rmse):.4f} m" for when, one in zip(("before", "after"), runs, strict=True)]
     draw(log, runs, PICTURE)
-    print(f"{', '.join(rmse)}; {PICTURE}: {PICTURE.stat().st_size / 1000:.0f} kB")
+    before, after = (float(np.nanmean(one.position_rmse)) for one in runs)
+    print(f"before {before:.4f} m, after {after:.4f} m; {PICTURE}: {PICTURE.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

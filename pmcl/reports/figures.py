@@ -173,11 +173,20 @@ def plot_pair(data: Posterior) -> Figure:
                 _scatter(axes, theta[..., column], theta[..., row])
             else:
                 _regions(axes, theta[..., column], theta[..., row])
+            if row != column:
+                # The same limits left and right of the diagonal.
+                axes.set_ylim(*_span(theta[..., row]))
             _true_lines(axes, truth.get(names[column]), truth.get(names[row]) if row != column else None)
             _label_pair(axes, row, column, labels)
     figure.align_ylabels(list(grid[:, 0]))
     legend_above(figure, _pair_handles(data))
     return figure
+
+
+def _span(values: Float) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    margin = 0.05 * (high - low) if high > low else max(0.05 * abs(low), 1e-6)
+    return low - margin, high + margin
 
 
 def _marginal(axes: Axes, data: Posterior, name: str, draws: Float) -> None:
@@ -214,7 +223,10 @@ def _regions(axes: Axes, horizontal: Float, vertical: Float) -> None:
     x, y = 0.5 * (x_edges[1:] + x_edges[:-1]), 0.5 * (y_edges[1:] + y_edges[:-1])
     axes.contourf(x, y, density.T, levels=[*levels, density.max() * 1.001], colors=_REGION_COLORS[-len(levels) :])
     correlation = float(np.corrcoef(across, up)[0, 1])
-    axes.text(0.97, 0.97, f"r = {correlation:+.2f}", ha="right", va="top", transform=axes.transAxes, fontsize=9)
+    place: dict[str, Any] = {"ha": "right", "va": "top", "transform": axes.transAxes}
+    # On a ground of its own, since a true value may run through it.
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
+    axes.text(0.97, 0.97, f"r = {correlation:+.2f}", fontsize=9, bbox=ground, **place)
 
 
 def _true_lines(axes: Axes, horizontal: float | None, vertical: float | None) -> None:
@@ -253,6 +265,12 @@ def _label_pair(axes: Axes, row: int, column: int, labels: list[str]) -> None:
             unit = labels[0].partition("[")[2].rstrip("]")
             axes.set_ylabel(labelled("density", f"1/{unit}" if unit not in ("", "1") else unit), fontsize=9)
     elif column == 0:
+        axes.set_ylabel(labels[row], fontsize=9)
+    elif column == size - 1 and axes.axison:
+        axes.yaxis.tick_right()
+        axes.yaxis.set_label_position("right")
+        axes.spines["right"].set_visible(True)
+        axes.spines["left"].set_visible(False)
         axes.set_ylabel(labels[row], fontsize=9)
     else:
         axes.tick_params(labelleft=False)

@@ -18,9 +18,9 @@ from pmcl.errors import PosteriorError
 from pmcl.posterior.compat import assemble, find_group, group_names
 from pmcl.posterior.convert import to_arviz
 from pmcl.reports import figures
+from pmcl.reports.bands import band_over_time, mass_levels
 from pmcl.reports.chain_figures import _panels, autocorrelation
 from pmcl.reports.residual_figures import plot_residuals, residual_channels
-from pmcl.reports.bands import band_over_time, mass_levels
 from pmcl.reports.style import evenly_spaced, labelled, legend_above, tidy
 
 PLOTS = [getattr(figures, name) for name in figures.__all__]
