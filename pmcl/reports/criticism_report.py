@@ -54,6 +54,7 @@ def write_criticism_report(
         called=called,
         parameters=_parameters(found),
         gaps=_gaps(found),
+        split=found.split,
         alarms=[_alarm_row(stage, alarm) for stage, alarm in alarms],
         raised=lambda row, column: column == _ALARM_COLUMN and alarms[row][1].raised,
         pictures=_pictures(found),
@@ -66,7 +67,7 @@ def write_criticism_report(
 def _subject(found: Criticism) -> str:
     log = found.log
     length = f"{log.n_steps} rows over {log.times[-1] - log.times[0]:.0f} s, {log.n_readings} readings"
-    return f"{log.where}; {length}; the rows from {found.split} on are held out." if log.where else f"{length}."
+    return f"{log.where}; {length}." if log.where else f"{length}."
 
 
 def _unexplained_row(one: Unexplained, found: Criticism) -> tuple[str, ...]:
