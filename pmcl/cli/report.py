@@ -20,7 +20,7 @@ __all__ = ["report", "tell"]
 @click.argument("posterior", metavar="POSTERIOR.nc")
 @output_option("The page to write (HTML, one file).")
 def report(posterior: str, output: Path) -> None:
-    """Write one self-contained page about a posterior: verdict, table, figures, settings.
+    """Write one self-contained page about a posterior: verdict, path, parameters, chains, settings.
 
     Exit status 0 when the page is written, whatever the verdict says.
     """

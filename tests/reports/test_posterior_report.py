@@ -5,6 +5,8 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,12 +14,15 @@ import xarray as xr
 from synthetic_posterior import SPREADS, fake_case
 
 from pmcl.errors import PosteriorError
-from pmcl.posterior.compat import assemble, extended
+from pmcl.posterior.compat import assemble, extended, find_group, group_names
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.diagnostics import verdict
+from pmcl.posterior.log_groups import log_groups
 from pmcl.reports import posterior_report
 from pmcl.reports.html import Picture, page
+from pmcl.reports.log_summary import log_summaries
 from pmcl.reports.posterior_report import summary_text, write_report
+from pmcl.reports.settings_table import settings_table
 from pmcl.reports.tables import rounded
 
 
@@ -228,3 +233,58 @@ def test_rows_that_miss_a_limit_are_starred():
 )
 def test_rounding_keeps_two_digits_of_the_uncertainty(value, sd, text):
     assert rounded(value, sd) == text
+
+
+class Judged(NamedTuple):
+    """A verdict of two halves."""
+
+    converged: bool
+    adequate: bool | None
+    message: str = "a sentence"
+    advice: tuple[str, ...] = ("do this",)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(
+    ("converged", "adequate", "box", "halves"),
+    [
+        (True, True, "good", ["✓ The chains have converged", "✓ The model fits the readings"]),
+        (True, None, "unsure", ["✓ The chains have converged", "? Not checked whether the model fits"]),
+        (True, False, "bad", ["✓ The chains have converged", "✗ The model does not fit"]),
+        (False, True, "bad", ["✗ The chains have not converged", "✓ The model fits the readings"]),
+    ],
+)
+def test_the_verdict_has_two_halves(report_data, tmp_path, monkeypatch, converged, adequate, box, halves):
+    monkeypatch.setattr(posterior_report, "verdict", lambda data, summary: Judged(converged, adequate))
+    write_report(report_data, tmp_path / "r.html")
+    assert f'class="verdict {box}"' in (tmp_path / "r.html").read_text(encoding="utf-8")
+    text = read(tmp_path / "r.html").text
+    assert [line for line in text if line[0] in "✓✗?"] == halves
+    assert text.index("do this") < text.index("Where the robot was")
+
+
+@pytest.mark.usefixtures("quick")
+def test_residuals_are_on_the_page_when_the_model_was_checked(report_data, tmp_path):
+    groups = {name: find_group(report_data, name) for name in group_names(report_data)}
+    scores = (("time", "beam"), np.random.default_rng(0).normal(size=(60, 4)))
+    groups["predictive_check"] = xr.Dataset({"residual_range": scores}, {"time": groups["observed_data"]["time"]})
+    write_report(assemble(groups, {}), tmp_path / "r.html")
+    write_report(report_data, tmp_path / "unchecked.html")
+    assert "Readings against predictions" in read(tmp_path / "r.html").text
+    assert "Readings against predictions" not in read(tmp_path / "unchecked.html").text
+
+
+def test_settings_are_explained_and_the_model_is_apart():
+    table = settings_table({"zeta": 1.5, "model": "motion = 'increment'", "particles": 25, "log_fingerprint_1": "abc"})
+    assert table.model == "motion = 'increment'"
+    assert [row[:2] for row in table.rows] == [("particles", "25"), ("log_fingerprint_1", "abc"), ("zeta", "1.5")]
+    assert [bool(meaning) for *_, meaning in table.rows] == [True, True, False]
+
+
+def test_the_page_names_the_file_of_the_log_without_its_folder(report_case):
+    log = SimpleNamespace(dataset=report_case.logs[0].dataset, true_theta=None, where="/home/someone/drives/monday.nc")
+    observed, constant = log_groups([log])
+    (summary,) = log_summaries(assemble({"observed_data": observed, "constant_data": constant}, {}))
+    assert summary.robot == "robot-log0"
+    assert summary.described == "monday.nc; made up; 60 rows over 30 s, 239 readings"
+    assert summary.has_truth
