@@ -15,8 +15,11 @@ from pmcl.filtering import ahead
 from pmcl.filtering.kernels import ahead as helper
 from pmcl.filtering.kernels.progress import _expected, announce_compilation, expect_compilations
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.catalogue import candidates
+from pmcl.models.rich_tables import uniform
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.calibrate import calibrate
+from pmcl.robots.aibo import simulate_aibo
 from pmcl.robots.amigobot import simulate_amigobot
 
 SMALL = """
@@ -163,3 +166,25 @@ def test_what_is_compiled_ahead_stays_within_its_budget(short_log, monkeypatch):
     ahead.compile_for_criticism(tables)
     assert len(_signatures(foreseen)) <= 21
     assert helper._helpers == []
+
+
+@pytest.mark.parametrize("simulate", [simulate_amigobot, simulate_aibo])
+def test_all_effects_together_need_few_combinations_of_table_types(simulate, monkeypatch):
+    """Kernels are compiled for each combination; those of whole families are compiled ahead."""
+    import numba
+
+    log = simulate(duration=60.0, seed=1)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    foreseen = []
+    monkeypatch.setattr(ahead, "compile_ahead", foreseen.extend)
+    ahead.compile_for_criticism(tables)
+    known = {numba.typeof(arguments[0]) for function, arguments in foreseen if function.__name__ == "filter_pass"}
+    met = {numba.typeof(tables): ["no effect"]}
+    for effect in candidates(log):
+        values = np.array(next(iter(effect.typical.values())), dtype=float)
+        met.setdefault(numba.typeof(uniform(effect.edit(tables, values, log))), []).append(effect.name)
+    assert known <= set(met)
+    # One effect has a state of its own, and is compiled for when it is tried.
+    assert [names for kind, names in met.items() if kind not in known] == [["turn-noise-correlated"]]
+    assert len(met) == 4
