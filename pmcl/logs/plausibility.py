@@ -212,11 +212,11 @@ def _stale(log: LogArrays) -> Iterator[Finding]:
     known = ~np.isnan(table)
     distance, turn, _ = _moves(log)
     moving = (distance > 0.0) | (turn > 0.0)
-    comparable = moving & (known[1:].sum(axis=1) >= 2) & (known[:-1].sum(axis=1) >= 2)
+    both = known[1:] & known[:-1]
+    comparable = moving & (both.sum(axis=1) >= 2)
     same = comparable & ((table[1:] == table[:-1]) | (~known[1:] & ~known[:-1])).all(axis=1)
     n_same, n_rows = int(same.sum()), int(comparable.sum())
     # Rounded readings come twice by chance: as often, each by itself, as in rows that are not repeated as a whole.
-    both = known[1:] & known[:-1]
     others = both & (comparable & ~same)[:, None]
     share = ((others & (table[1:] == table[:-1])).sum() + 0.5) / (others.sum() + 1.0)
     by_chance = float(np.sum(share ** both[comparable].sum(axis=1)))
