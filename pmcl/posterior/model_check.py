@@ -26,9 +26,10 @@ from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
-from pmcl.posterior.score_statistics import ScoreSeries, Statistic, duration_of_errors, score_statistics
+from pmcl.posterior.findings import Finding, lost_finding, named_finding
+from pmcl.posterior.score_statistics import ScoreSeries, Statistic, score_statistics
 
-__all__ = ["LEVEL", "Finding", "ModelCheck", "ScoredPass", "check_model", "kind_label"]
+__all__ = ["LEVEL", "ModelCheck", "ScoredPass", "check_model"]
 
 Float = NDArray[np.float64]
 
@@ -47,39 +48,6 @@ _PARTICLES = (1000, 16000)
 _MOST_PARTICLE_ROWS = 10_000_000
 # A filter that loses the robot is given another chance with this times as many particles.
 _SECOND_CHANCE = 4
-
-
-class Finding(NamedTuple):
-    """One way in which readings and model disagree.
-
-    Attributes
-    ----------
-    name : str
-        "lost", or the name of a :class:`~pmcl.posterior.score_statistics.Statistic`.
-    log : int
-        Which log, from 0.
-    kind : str
-        Variable of the log, e.g. "landmark_range"; empty for "lost".
-    channels : tuple of int
-        Beams or landmarks of a "channel shift"; empty for all together.
-    z : float
-        The statistic: standard normal when the model is right, but for a longer tail of "lasting".
-    p_value : float
-        Probability of any deviation as great as this in any statistic when the model is right.
-    seconds : float
-        How long errors last, for "lasting" and "lasting together"; time at which the robot is lost, for "lost"; else 0.
-    message : str
-        The finding in words, without the log's number.
-    """
-
-    name: str
-    log: int
-    kind: str
-    channels: tuple[int, ...]
-    z: float
-    p_value: float
-    seconds: float
-    message: str
 
 
 class ScoredPass(NamedTuple):
@@ -155,9 +123,7 @@ def check_model(bound: BoundModel, theta: Float, seed: int = 0) -> ModelCheck:
         normal = np.empty(0) if made is None else special.ndtri(made.pit(make_rng(for_pit)))
         passes.append(ScoredPass(made, normal, n_particles))
         if row is not None:
-            time = float(log.times[row])
-            message = f"the filter loses the robot at t={time:g} s"
-            lost.append(Finding("lost", number, "", (), np.inf, 0.0, time, message))
+            lost.append(lost_finding(number, float(log.times[row])))
         elif made is not None:
             rng = np.random.default_rng(for_scores)
             for series in _series(made, normal, log.times):
@@ -249,48 +215,9 @@ def _deviations(judged: Sequence[_Judged], logs: Sequence[RobotLog]) -> tuple[tu
                 deviation = _Deviation(float(beyond), float(z), p_value, statistic.channel)
                 groups.setdefault(statistic.name, []).append(deviation)
         for name, members in groups.items():
-            found.append((max(members).ratio, _finding(name, members, one, logs[one.log])))
+            worst = max(members)
+            channels = tuple(sorted(member.channel for member in members))
+            finding = named_finding(name, one.series, channels, worst.z, worst.p_value, one.log, logs[one.log])
+            found.append((worst.ratio, finding))
     found.sort(key=lambda pair: -pair[0])
     return tuple(finding for _, finding in found), float(np.mean(greatest >= greatest[0]))
-
-
-def _finding(name: str, members: Sequence[_Deviation], judged: _Judged, log: RobotLog) -> Finding:
-    worst, kind = max(members), judged.series.kind
-    channels = tuple(sorted(member.channel for member in members)) if name == "channel shift" else ()
-    lasts = name.startswith("lasting") and worst.z > 0.0
-    seconds = duration_of_errors(judged.series, name) if lasts else 0.0
-    message = _sentence(name, kind, worst.z, seconds, _channel_names(channels, kind, log))
-    return Finding(name, judged.log, kind, channels, worst.z, worst.p_value, seconds, message)
-
-
-def kind_label(kind: str) -> str:
-    """Name a kind of reading in the plural, e.g. "landmark bearings"."""
-    return f"{kind.replace('_', ' ')}s"
-
-
-def _channel_names(channels: Sequence[int], kind: str, log: RobotLog) -> str:
-    """Name beams or landmarks, landmarks as the log names them."""
-    dimension = "landmark" if kind.startswith("landmark") else "beam"
-    known = log.dataset.coords[dimension].values if dimension in log.dataset.coords else None
-    names = ", ".join(str(channel if known is None else known[channel]) for channel in channels)
-    return f"{dimension}{'s' if len(channels) > 1 else ''} {names}"
-
-
-def _sentence(name: str, kind: str, z: float, seconds: float, channels: str) -> str:
-    label = kind_label(kind)
-    if name == "lasting":
-        return f"errors of {label} " + (f"last about {_rounded(seconds)} s" if z > 0.0 else "alternate in sign")
-    if name == "lasting together":
-        what = f"the errors that {label} of one time share"
-        return f"{what} last about {_rounded(seconds)} s" if z > 0.0 else f"{what} alternate in sign"
-    if name == "spread":
-        return f"{label} scatter {'more' if z > 0.0 else 'less'} than the model says"
-    if name == "shape":
-        return f"the errors of {label} have another distribution than the model says"
-    if name == "channel shift":
-        return f"{label} of {channels} are off on average"
-    return f"{label} are on average {'larger' if z > 0.0 else 'smaller'} than the model says"
-
-
-def _rounded(seconds: float) -> str:
-    return f"{seconds:.0f}" if seconds >= 10.0 else f"{seconds:.2g}"

@@ -20,8 +20,9 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.posterior.access import theta_draws
 from pmcl.posterior.compat import Posterior, extended, find_group
 from pmcl.posterior.diagnostics import verdict
+from pmcl.posterior.findings import kind_label
 from pmcl.posterior.log_groups import reading_kinds, suffixes_for
-from pmcl.posterior.model_check import LEVEL, ModelCheck, ScoredPass, check_model, kind_label
+from pmcl.posterior.model_check import LEVEL, ModelCheck, ScoredPass, check_model
 from pmcl.posterior.predictive_draws import predictive_groups
 
 __all__ = ["check_group", "checked"]
