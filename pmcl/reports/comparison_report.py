@@ -196,11 +196,11 @@ def comparison_text(comparison: Comparison) -> str:
 
 def column_note(comparison: Comparison) -> str:
     """Say what the columns of the table are, in lines of at most 100 characters."""
-    truth = ", and the distance from the true parameters" if comparison.truth is not None else ""
+    truth = "; truth: from the true parameters" if comparison.truth is not None else ""
     lines = [
-        "draws: chains x draws of each. burn-in, time, CPU: seconds. ESS: effective draws of the worst parameter;",
-        "ESS/s: for each CPU second after burn-in. error, expected: distance of the mean from the reference's,",
-        f"and what chance alone gives{truth}: in posterior standard deviations.",
+        "draws: chains x draws of each. burn-in, time, CPU: seconds. ESS: effective draws of the worst",
+        "parameter; ESS/s: for each CPU second after burn-in. error: distance of the mean from the",
+        f"reference's; expected: what chance alone gives{truth}, in posterior sd.",
     ]
     return "\n".join(lines)
 
