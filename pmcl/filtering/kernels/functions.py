@@ -200,7 +200,8 @@ class InnerFunction(CPUDispatcher):
         return njit(**options)(self.py_func)
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        return self._for_python(*args, **kws)
+        # numba calls what this returns.
+        return self._for_python._compile_for_args(*args, **kws)
 
 
 def call_template(function: Callable[..., Any], choose: Callable[..., InnerFunction | None]) -> type[AbstractTemplate]:
