@@ -82,6 +82,7 @@ class OnlineLocalizer:
 
     Examples
     --------
+    >>> from pmcl.localization import OnlineLocalizer
     >>> robot = OnlineLocalizer(log, posterior=data, method="mean")
     >>> estimate = robot.update(0.1, odometry=(0.05, 0.0, 0.01), range=ranges)
     >>> estimate.mean.shape, estimate.covariance.shape
