@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from run import HERE, PARTICLES, REPETITIONS, recordings
 
 from pmcl.localization.many import Runs, localize_many
@@ -25,6 +26,8 @@ ROBOT = "Create 2"
 PICTURE = HERE.parent / "pictures" / "before_and_after.png"
 # Seconds of the drive that the maps show; the whole path would cross itself too often to be read.
 SHOWN = 150.0
+# Room around the true path, along x and y [m].
+MARGIN = np.array([1.4, 0.9])
 BEFORE, AFTER, TRUE = "#D55E00", "#0072B2", "black"
 
 
@@ -70,7 +73,7 @@ def draw_map(axes, log: RobotLog, path: np.ndarray, window: slice, color: str) -
     axes.plot(*true.T, color=TRUE, linewidth=1.2, label="true path")
     axes.plot(*true[0], "o", color=TRUE, markersize=6, markerfacecolor="white", label="start")
     axes.set_aspect("equal", adjustable="box")
-    low, high = true.min(axis=0) - 1.0, true.max(axis=0) + 1.0
+    low, high = true.min(axis=0) - MARGIN, true.max(axis=0) + MARGIN
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]")
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -79,8 +82,8 @@ def draw_errors(axes, times: np.ndarray, errors: list[np.ndarray], window: slice
     for error, color, name in zip(errors, (BEFORE, AFTER), ("before", "after"), strict=True):
         axes.plot(times, error, color=color, linewidth=1.0, label=name)
     axes.axvspan(times[window][0], times[window][-1], color="#DDDDDD", linewidth=0)
-    place = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "top"}
-    axes.text(times[window].mean(), 0.98, "shown above", fontsize=9, **place)
+    place = {"transform": axes.get_xaxis_transform(), "ha": "right", "va": "top"}
+    axes.text(times[window][-1], 0.99, "shown above ", fontsize=9, **place)
     axes.set(xlabel="time [s]", ylabel="position error [m]", ylim=(0.0, None), xlim=(0.0, times[-1]))
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -108,14 +111,19 @@ def draw(log: RobotLog, runs: list[Runs], path: Path) -> None:
     errors = [one.position_error[k] for one, k in zip(runs, chosen, strict=True)]
     window = typical_window(log.times, errors, rmse)
     figure = Figure(figsize=(9.2, 7.4), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=[2.3, 1.0])
+    above, below = figure.subfigures(2, 1, height_ratios=[2.5, 1.0])
     maps = above.subplots(1, 2, sharex=True, sharey=True)
     titles = ("before: noise alone", "after: with what the critic found")
     for axes, title, one, k, value, color in zip(maps, titles, runs, chosen, rmse, (BEFORE, AFTER), strict=True):
         draw_map(axes, log, one.pose_mean[k], window, color)
         axes.set_title(f"{title}\nerror {value:.2f} m", fontsize=13, color=color, weight="bold")
     maps[0].set_ylabel("y [m]")
-    maps[0].legend(loc="upper right", fontsize=9, frameon=False)
+    handles = [
+        Line2D([], [], color=BEFORE, linewidth=1.8, label="filter before"),
+        Line2D([], [], color=AFTER, linewidth=1.8, label="filter after"),
+        *maps[0].get_legend_handles_labels()[0],
+    ]
+    above.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
     left, right = below.subplots(1, 2, width_ratios=[1.7, 1.0])
     draw_errors(left, log.times, errors, window)
     draw_posteriors(right)

@@ -32,6 +32,8 @@ Float = NDArray[np.float64]
 
 # Panels in a row, in the order of preference; none that leaves a single panel in the last row is taken.
 _COLUMNS = (4, 3, 5)
+# Letters that fit above a panel.
+_WIDEST_TITLE = 24
 # Blocks of draws whose medians a trace shows.
 _BLOCKS = 25
 
@@ -135,7 +137,7 @@ def plot_rank(data: Posterior) -> Figure:
             )
             axes.axhline(chain + flat, color="black", linewidth=0.7, alpha=0.6)
         axes.set_ylim(0.0, n_chains)
-        axes.set_title(name, fontsize=10)
+        axes.set_title(_title(name), fontsize=10)
         axes.set_yticks(np.arange(n_chains) + flat, [str(chain) for chain in range(n_chains)])
         axes.set_ylabel("chain")
         axes.set_xlabel("rank among all draws")
@@ -174,7 +176,7 @@ def plot_autocorrelation(data: Posterior) -> Figure:
         lags, of_chains = np.arange(n_lags), correlation[:, :n_lags, index]
         axes.fill_between(lags, of_chains.min(axis=0), of_chains.max(axis=0), alpha=0.3, linewidth=0, color=POSTERIOR)
         axes.plot(lags, of_chains.mean(axis=0), color=POSTERIOR, linewidth=1.4)
-        axes.set_title(name, fontsize=10)
+        axes.set_title(_title(name), fontsize=10)
         axes.set_xlabel("lag [draws]")
         axes.set_ylabel("autocorrelation")
         axes.set_ylim(-0.3, 1.02)
@@ -254,6 +256,11 @@ def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
     for unused in panels[count:]:
         unused.remove()
     return figure, panels[:count]
+
+
+def _title(name: str) -> str:
+    """Return the title of a panel, in several lines when the name is wider than the panel."""
+    return name if len(name) <= _WIDEST_TITLE else labelled(name, "", narrow=True)
 
 
 def _bins(draws: Float) -> Float | None:
