@@ -1,7 +1,8 @@
-"""Figures of a posterior: the robot's path, each parameter with its prior, and the parameters against each other.
+"""Figures of a posterior's parameters: each with its prior, and against each other.
 
-The figures about the chains themselves are in :mod:`pmcl.reports.chain_figures`, those about the readings in
-:mod:`pmcl.reports.residual_figures`; the former are at hand here as well.
+The figures about the chains are in :mod:`pmcl.reports.chain_figures`, the robot's path is in
+:mod:`pmcl.reports.path_figure`; they are at hand here as well. Those about the readings are in
+:mod:`pmcl.reports.residual_figures`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -18,19 +18,11 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pmcl.geometry import wrap
-from pmcl.posterior.access import (
-    log_suffixes,
-    parameter_names,
-    parameter_units,
-    theta_draws,
-    trajectory_draws,
-    true_theta,
-)
+from pmcl.posterior.access import parameter_names, parameter_units, theta_draws, true_theta
 from pmcl.posterior.compat import Posterior, find_group
-from pmcl.posterior.estimates import PathSummary, path_summary
-from pmcl.reports.bands import band_over_time, mass_levels
+from pmcl.reports.bands import mass_levels
 from pmcl.reports.chain_figures import plot_autocorrelation, plot_ess_evolution, plot_rank, plot_trace
+from pmcl.reports.path_figure import plot_trajectory
 from pmcl.reports.style import (
     FAINT,
     POSTERIOR,
@@ -58,17 +50,10 @@ Float = NDArray[np.float64]
 
 # More dots than this only fill the cloud and the file.
 _MOST_DOTS = 2000
-# More ellipses than this along a path only merge into one band.
-_MOST_ELLIPSES = 80
-# Bins of time in which errors are drawn as a median and a band.
-_TIME_BINS = 60
-# Half axis of the ellipse that holds 90 % of a Gaussian in two dimensions, in standard deviations.
-_ELLIPSE_90 = 2.146
 # Cells of the grid on which densities of two parameters are smoothed, and the width of the smoothing in cells.
 _GRID, _SMOOTHING = 40, 2.0
 _REGIONS = (0.9, 0.5)
 _REGION_COLORS = ("#A9CCE3", "#4A92C3")
-_ERROR = "#D55E00"
 # Share of the prior's draws that the picture of the prior's whole range shows: a long tail would hide the rest.
 _PRIOR_SHARE = 0.98
 
@@ -291,101 +276,4 @@ def _pair_handles(data: Posterior) -> list[Any]:
         handles.append(Line2D([], [], color=PRIOR, linewidth=1.6, label="prior density (scale of its own)"))
     if set(names) & set(true_theta(data)):
         handles.append(Line2D([], [], **TRUTH, label="true value"))
-    return handles
-
-
-def plot_trajectory(data: Posterior, log: int = 0) -> Figure:
-    """Draw the robot's path on the map, how well it is known over time, and how far the mean is from the true path.
-
-    Parameters
-    ----------
-    data : arviz.InferenceData or xarray.DataTree
-    log : int
-        Which log, from 0.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Map above, standard deviations and errors of position and heading below.
-
-    Raises
-    ------
-    PosteriorError
-        If the posterior holds no trajectories for this log.
-    """
-    path = path_summary(data, log)
-    constants = find_group(data, "constant_data")
-    suffix = log_suffixes(data)[log]
-    name = f"true_pose{suffix}"
-    truth = np.asarray(constants[name].values, dtype=np.float64) if name in constants else None
-    figure = new_figure(7.6, 6.4)
-    panels = figure.subplot_mosaic([["map", "map"], ["position", "heading"]], height_ratios=[3, 1])
-    _draw_map(panels["map"], data, suffix)
-    stored = np.asarray(trajectory_draws(data, log).values, dtype=np.float64)
-    handles = _draw_path(panels["map"], stored.reshape(-1, *stored.shape[2:]), path, truth)
-    handles += _draw_spread(panels["position"], panels["heading"], path, truth)
-    legend_above(figure, [*panels["map"].collections, *panels["map"].get_lines(), *handles])
-    return figure
-
-
-def _draw_map(axes: Axes, data: Posterior, suffix: str) -> None:
-    constants = find_group(data, "constant_data")
-    if f"wall{suffix}" in constants:
-        walls = constants[f"wall{suffix}"].values
-        axes.add_collection(LineCollection(list(walls), colors="#444444", linewidths=1.6, label="walls"))
-    if f"landmark_position{suffix}" in constants:
-        spots = constants[f"landmark_position{suffix}"].values
-        axes.plot(spots[:, 0], spots[:, 1], "^", color="#D55E00", markersize=6, linestyle="", label="landmarks")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-    tidy(axes)
-
-
-def _draw_path(axes: Axes, paths: Float, path: PathSummary, truth: Float | None) -> list[Any]:
-    """Draw the mean path in its 90 % ellipses; return what stands for the ellipses in the legend."""
-    rows = evenly_spaced(len(path.times), _MOST_ELLIPSES)
-    axes.add_collection(_ellipses(axes, paths[:, rows, :2], path.mean[rows, :2]))
-    if truth is not None:
-        # Below the mean path: black is seen where the two differ.
-        axes.plot(truth[:, 0], truth[:, 1], color="black", linewidth=1.0, label="true path")
-    axes.plot(path.mean[:, 0], path.mean[:, 1], color=POSTERIOR, linewidth=1.1, label="mean path")
-    marks: dict[str, Any] = {"color": POSTERIOR, "markersize": 8, "linestyle": "", "zorder": 4}
-    axes.plot(*path.mean[0, :2], marker="o", markerfacecolor="white", label="start", **marks)
-    axes.plot(*path.mean[-1, :2], marker="s", label="end", **marks)
-    axes.autoscale_view()
-    return [Patch(color=POSTERIOR, alpha=0.3, label="90 % ellipses of the position")]
-
-
-def _ellipses(axes: Axes, positions: Float, centres: Float) -> EllipseCollection:
-    """Return the ellipses that hold 90 % of Gaussians with the covariances of `positions` (paths, rows, 2)."""
-    offset = positions - positions.mean(axis=0)
-    covariance = np.einsum("kri,krj->rij", offset, offset) / len(positions)
-    variances, directions = np.linalg.eigh(covariance)
-    axis_lengths = 2.0 * _ELLIPSE_90 * np.sqrt(np.maximum(variances, 0.0))
-    angles = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
-    return EllipseCollection(
-        axis_lengths[:, 1], axis_lengths[:, 0], angles, units="xy", offsets=centres, transOffset=axes.transData,
-        facecolors=POSTERIOR, alpha=0.25, linewidths=0.0,
-    )  # fmt: skip
-
-
-def _draw_spread(position: Axes, heading: Axes, path: PathSummary, truth: Float | None) -> list[Any]:
-    """Draw standard deviations and errors over time; return what stands for them in the legend."""
-    handles: list[Any] = [Line2D([], [], color=POSTERIOR, label="posterior standard deviation")]
-    position.plot(path.times, np.hypot(path.sd[:, 0], path.sd[:, 1]), color=POSTERIOR, linewidth=1.0, zorder=3)
-    heading.plot(path.times, path.sd[:, 2], color=POSTERIOR, linewidth=1.0, zorder=3)
-    if truth is not None:
-        offset = path.mean - truth
-        for axes, error in ((position, np.hypot(offset[:, 0], offset[:, 1])), (heading, np.abs(wrap(offset[:, 2])))):
-            band = band_over_time(path.times, error, _TIME_BINS)
-            axes.fill_between(band.time, band.low, band.high, color=_ERROR, alpha=0.2, linewidth=0)
-            axes.plot(band.time, band.median, color=_ERROR, linewidth=1.2)
-        handles.append(Line2D([], [], color=_ERROR, label="error of the mean path (median and 90 % band)"))
-    position.set_ylabel("position [m]")
-    heading.set_ylabel("heading [rad]")
-    for axes in (position, heading):
-        axes.set_xlabel("time [s]")
-        axes.set_ylim(0, None)
-        tidy(axes)
     return handles

@@ -17,7 +17,7 @@ from synthetic_posterior import NAMES, TRUTH, autoregressive, fake_case, fake_pa
 from pmcl.errors import PosteriorError
 from pmcl.posterior.compat import assemble, find_group, group_names
 from pmcl.posterior.convert import to_arviz
-from pmcl.reports import figures
+from pmcl.reports import figures, path_figure
 from pmcl.reports.bands import band_over_time, mass_levels
 from pmcl.reports.chain_figures import _panels, autocorrelation
 from pmcl.reports.residual_figures import plot_residuals, residual_channels
@@ -152,7 +152,7 @@ def test_the_path_is_on_its_map(report_case, report_data):
 def test_the_ellipses_hold_nine_of_ten_positions(rng):
     covariance = np.array([[0.09, 0.03], [0.03, 0.04]])
     positions = rng.multivariate_normal([1.0, 2.0], covariance, size=(4000, 1))
-    ellipse = figures._ellipses(Figure().subplots(), positions, np.array([[1.0, 2.0]]))
+    ellipse = path_figure._ellipses(Figure().subplots(), positions, np.array([[1.0, 2.0]]))
     width, height, angle = (float(values[0]) for values in (ellipse._widths, ellipse._heights, ellipse._angles))
     c, s = np.cos(angle), np.sin(angle)
     along = (positions[:, 0] - [1.0, 2.0]) @ np.array([[c, -s], [s, c]])
