@@ -22,6 +22,8 @@ Int = NDArray[np.int64]
 
 # Share of readings that may be anything: it bounds what a single reading can say against an explanation.
 _GROSS = 0.05
+# What gross readings of a beam are: no echo, zero, or else anything in between.
+_NO_ECHO, _ZERO = 0.5, 0.02
 _ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
@@ -154,14 +156,14 @@ class Sensors:
         told = np.where(np.isfinite(read.length), read.length, np.inf)[None, :, None] * factor
         nothing = told >= longest
         zero = (read.length == 0.0)[None, :, None]
-        # Whatever the range, some share of gross readings is no echo or zero.
-        density = factor * _mixed(np.where(nothing, longest, told) - length, std, 1.0 / longest)
+        anything = (1.0 - _NO_ECHO - _ZERO) / longest
+        density = factor * _mixed(np.where(nothing, longest, told) - length, std, anything)
         if nothing.any():
-            missed = (1.0 - _GROSS) * ndtr((length - longest) / std) + 0.5 * _GROSS
+            missed = (1.0 - _GROSS) * ndtr((length - longest) / std) + _NO_ECHO * _GROSS
             width = np.where(np.isfinite(read.length), self.width_beyond, 1.0)[None, :, None]
             density = np.where(nothing, missed / width, density)
         if zero.any():
-            too_near = (1.0 - _GROSS) * ndtr(-length / std) + 0.02 * _GROSS
+            too_near = (1.0 - _GROSS) * ndtr(-length / std) + _ZERO * _GROSS
             density = np.where(zero, too_near, density)
         result = np.log(density)
         if self.zero_is_nothing[way].any():
