@@ -111,6 +111,7 @@ class _Finished:
 
     def __init__(self, blobs: Any) -> None:
         self.blobs = blobs
+        self.window = slice(-_tuning_stage().window, None)
 
     def get_blobs(self) -> Any:
         return self.blobs
