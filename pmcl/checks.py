@@ -53,6 +53,7 @@ def check_whole(
     *,
     error: type[PmclError],
     advice: str = "choose another",
+    where: str = "",
 ) -> int:
     """Return a whole number as an int.
 
@@ -68,19 +69,22 @@ def check_whole(
         The PmclError to raise.
     advice : str
         What to do, for the message.
+    where : str
+        The caller, where the message begins with it.
 
     Raises
     ------
     PmclError
         When the value is no whole number, or beyond its limits.
     """
+    place = f"{where}: " if where else ""
     bounds = f"of at least {least}" if most == MOST_COUNT else f"between {least} and {most}"
     if isinstance(value, _NO_NUMBERS) or not isinstance(value, numbers.Integral):
-        raise error(f"expected {name} as a whole number {bounds}, but got {_shown(value)}; {advice}")
+        raise error(f"{place}expected {name} as a whole number {bounds}, but got {_shown(value)}; {advice}")
     number = int(value)
     if not least <= number <= most:
         bounds = f"of at most {most}" if number > most else f"of at least {least}"
-        raise error(f"expected {name} {bounds}, but got {_shown(number)}; {advice}")
+        raise error(f"{place}expected {name} {bounds}, but got {_shown(number)}; {advice}")
     return number
 
 
@@ -95,12 +99,13 @@ def check_number(
     open_high: bool = False,
     error: type[PmclError],
     advice: str = "choose another",
+    where: str = "",
 ) -> float:
     """Return a finite real number as a float.
 
     Parameters
     ----------
-    name, value, error, advice
+    name, value, error, advice, where
         As for :func:`check_whole`; integers and numpy's numbers are numbers too.
     low, high : float
         Limits; allowed themselves unless `open_low` or `open_high`.
@@ -128,13 +133,14 @@ def check_number(
             limits.append(f"{'less than' if open_high else 'at most'} {high:g}{unit}")
         wanted = f"a number of {' and '.join(limits)}" if limits else f"a finite number{unit and f' in{unit}'}"
         came = f"{number:g}{unit}" if is_number else _shown(value)
-        raise error(f"expected {name} as {wanted}, but got {came}; {advice}")
+        place = f"{where}: " if where else ""
+        raise error(f"{place}expected {name} as {wanted}, but got {came}; {advice}")
     return number
 
 
-def check_seed(value: Any, *, error: type[PmclError], name: str = "seed") -> int:
+def check_seed(value: Any, *, error: type[PmclError], where: str = "") -> int:
     """Return a seed as an int; raises `error` unless it is a whole number from 0 to 2^64 - 1."""
-    return check_whole(name, value, 0, MOST_SEED, error=error, advice="choose for example 0")
+    return check_whole("seed", value, 0, MOST_SEED, error=error, advice="choose for example 0", where=where)
 
 
 def check_choice(name: str, value: Any, choices: Collection[str], *, error: type[PmclError]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pmcl.checks import check_path, check_seed, check_type, check_whole
+from pmcl.checks import MOST_COUNT, check_path, check_seed, check_type, check_whole
 from pmcl.errors import LogError, MapError
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.assemble import assemble
@@ -251,8 +251,8 @@ class RobotLog(LogArrays):
         LogError
             When the rows are not in the log, or only one of `start_mean` and `start_std` is given.
         """
-        start = check_whole("start", start, error=LogError, advice=f"choose a row of {self.where}")
-        stop = check_whole("stop", stop, error=LogError, advice=f"choose a row of {self.where}")
+        start = check_whole("start", start, -MOST_COUNT, error=LogError, advice="choose a row", where=self.where)
+        stop = check_whole("stop", stop, -MOST_COUNT, error=LogError, advice="choose a row", where=self.where)
         if not 0 <= start < stop <= self.n_steps:
             fail(self.where, f"expected rows 0 <= start < stop <= {self.n_steps}, got {start}, {stop}: choose others")
         if (start_mean is None) != (start_std is None):

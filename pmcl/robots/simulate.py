@@ -57,9 +57,9 @@ def check_run(duration: float, period: float, seed: int, where: str) -> int:
         When there are fewer than two rows, more than memory holds, or the seed is not usable.
     """
     duration = check_number(
-        "duration", duration, 2.0 * period, unit="s", error=ModelError, advice="give a longer or shorter one"
+        "duration", duration, 2.0 * period, unit="s", error=ModelError, advice="give a longer one", where=where
     )
-    check_seed(seed, error=ModelError)
+    check_seed(seed, error=ModelError, where=where)
     check_memory(
         f"{where}: a log of {duration:g} s", _BYTES_PER_ROW * duration / period, error=ModelError, advice="shorten it"
     )
