@@ -18,9 +18,8 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 
 SHORTER = (
     ("pmcl.calibrate(log", "pmcl.calibrate(log, draws=20, chains=2, burn_in_particles=100, seed=1"),
-    ("pmcl convert mrclam MRCLAM_Dataset6", "pmcl convert mrclam MRCLAM_Dataset6 --duration 300"),
     ("pmcl calibrate robot1.nc --model", "pmcl calibrate robot1.nc --draws 20 --burn-in-particles 300 --model"),
-    ("pmcl criticize", "pmcl criticize --particles 100 --no-joint"),
+    ("pmcl criticize", "pmcl criticize --no-joint"),
     ("-o steered.nc", "--duration 300 -o steered.nc"),
 )
 """The one place that changes what is shown before it is run: settings for which a run takes seconds, not minutes."""
