@@ -19,7 +19,9 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 SHORTER = (
     ("pmcl.calibrate(log", "pmcl.calibrate(log, draws=20, chains=2, burn_in_particles=100, seed=1"),
     ("pmcl calibrate robot1.nc --model", "pmcl calibrate robot1.nc --draws 20 --burn-in-particles 300 --model"),
-    ("pmcl criticize", "pmcl criticize --no-joint"),
+    ("pmcl criticize robot1.nc", "pmcl criticize robot1.nc --no-joint"),
+    ("pmcl criticize steered.nc", "pmcl criticize steered.nc --no-joint"),
+    ("pmcl calibrate first.nc", "pmcl calibrate first.nc --draws 100"),
     ("-o steered.nc", "--duration 300 -o steered.nc"),
 )
 """The one place that changes what is shown before it is run: settings for which a run takes seconds, not minutes."""
