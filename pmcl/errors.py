@@ -45,7 +45,7 @@ def did_you_mean(given: str, known: Iterable[str], otherwise: str) -> str:
     str
         E.g. ``"did you mean 'range-bias'?"``.
     """
-    near = difflib.get_close_matches(given, list(known), 1, cutoff=_NEAR)
+    near = difflib.get_close_matches(str(given), list(known), 1, cutoff=_NEAR)
     return f"did you mean '{near[0]}'?" if near else otherwise
 
 

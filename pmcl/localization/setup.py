@@ -79,6 +79,8 @@ def prepare(
     options = FilterOptions() if options is None else options
     check_type("options", options, FilterOptions, error=FilterError, advice="make them with FilterOptions(...)")
     particles = check_whole("particles", particles, 2, error=FilterError, advice="25 to 1000 are usual")
+    if theta is not None:
+        check_type("theta", theta, Mapping, error=ModelError, advice="write a dict with parameter names as keys")
     greatest = max(particles, options.start_particles or 0)
     check_memory("the particles", _BYTES_PER_PARTICLE * greatest, error=FilterError, advice="use fewer")
     model = model or default_model(log)

@@ -56,4 +56,4 @@ def test_the_critic_finds_an_effect_of_ones_own(run, effects_file, tmp_path):
     )  # fmt: skip
     done = run("criticize", log_file, "--effects", effects_file, "--no-joint", "-o", page)
     assert done.exit_code == 0, done.stderr
-    assert "accelerating turns the robot to the left" in done.stdout
+    assert "ccelerating turns the robot to the left" in done.stdout

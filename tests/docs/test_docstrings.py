@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import shlex
+import tomllib
 
 import numpy as np
 import pytest
@@ -57,6 +58,9 @@ def test_literal_blocks_run(name, scope, tmp_path):
             for sub in getattr(application.commands[command], "commands", {}).values():
                 known |= {option for each in sub.params for option in each.opts}
             assert {word for word in arguments if word.startswith("-")} <= known, line
+        return
+    if block.startswith("[["):  # part of a model file
+        tomllib.loads(block)
         return
     exec(compile(shortened(block), name, "exec"), scope)
 

@@ -15,7 +15,7 @@ from pmcl.filtering import ahead
 from pmcl.filtering.kernels import ahead as helper
 from pmcl.filtering.kernels.progress import _expected, announce_compilation, expect_compilations
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.catalogue import candidates
+from pmcl.models.effects.registry import candidates
 from pmcl.models.rich_tables import uniform
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.calibrate import calibrate

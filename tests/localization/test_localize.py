@@ -140,11 +140,11 @@ def test_the_filter_is_better_than_odometry_and_noise_matters(room_log, theta):
 
 BAD = {
     "no posterior": ({"method": "map"}, PosteriorError, "expects a posterior for sigma_forward"),
-    "unknown method": ({"method": "median"}, PosteriorError, "mean, map, posterior, prior"),
+    "unknown method": ({"method": "median"}, PosteriorError, "'mean', 'map', 'posterior', 'prior'"),
     "unknown name": ({"theta": {"sigma_trun": 0.1}}, ModelError, "did you mean 'sigma_turn'"),
     "outside its prior": ({"theta": {"sigma_turn": -1.0}}, ModelError, "within its prior"),
     "no noise": ({"theta": {"sigma_turn": 0.0}}, ModelError, "sigma_turn > 0"),
-    "one particle": ({"method": "prior", "particles": 1}, FilterError, "at least 2 particles"),
+    "one particle": ({"method": "prior", "particles": 1}, FilterError, "particles of at least 2"),
 }
 
 

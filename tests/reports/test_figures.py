@@ -357,6 +357,6 @@ def test_residuals_are_shown_for_what_was_checked(report_case, report_data, rng)
 def checked(data, scores):
     """The posterior with a group of normal scores, as the check of a calibration writes it."""
     groups = {name: find_group(data, name) for name in group_names(data)}
-    times = groups["observed_data"]["time"]
+    times = groups["constant_data"]["time"]
     groups["predictive_check"] = xr.Dataset({"residual_range": (("time", "beam"), scores)}, coords={"time": times})
     return assemble(groups, {})

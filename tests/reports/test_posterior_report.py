@@ -267,7 +267,7 @@ def test_the_verdict_has_two_halves(report_data, tmp_path, monkeypatch, converge
 def test_residuals_are_on_the_page_when_the_model_was_checked(report_data, tmp_path):
     groups = {name: find_group(report_data, name) for name in group_names(report_data)}
     scores = (("time", "beam"), np.random.default_rng(0).normal(size=(60, 4)))
-    groups["predictive_check"] = xr.Dataset({"residual_range": scores}, {"time": groups["observed_data"]["time"]})
+    groups["predictive_check"] = xr.Dataset({"residual_range": scores}, {"time": groups["constant_data"]["time"]})
     write_report(assemble(groups, {}), tmp_path / "r.html")
     write_report(report_data, tmp_path / "unchecked.html")
     assert "Readings against predictions" in read(tmp_path / "r.html").text

@@ -305,6 +305,7 @@ def formula_effect(
 
     Examples
     --------
+    >>> from pmcl.models.effects.formula import formula_effect
     >>> swinging = formula_effect("turn", ["sin(2*pi*time/period)"], {"period": 60.0})
     >>> swinging.name
     'formula: turn += c*sin(2*pi*time/period)'
