@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from pmcl.criticism import naming
 from pmcl.criticism.fit import BRIEF, quick_fit
@@ -272,6 +273,7 @@ def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere():
     assert contenders_when_lost([*others, lucky, true, most], current)[-1] is most
 
 
+@pytest.mark.slow
 def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():
     noise = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
     given = ("quantized-readings=clear", "range-bias=large")

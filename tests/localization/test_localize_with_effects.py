@@ -44,7 +44,7 @@ def rich(room_log, theta):
     return log, model, theta_of(log, model, theta)
 
 
-@pytest.mark.parametrize("method", ["mean", "posterior"])
+@pytest.mark.parametrize("method", ["mean", pytest.param("posterior", marks=pytest.mark.slow)])
 def test_online_is_offline_with_states_and_readings_that_look_back(rich, method):
     log, model, values = rich
     data = around(values, 0.1)
@@ -75,6 +75,7 @@ def test_online_is_offline_with_landmarks_whose_errors_last():
     assert track.log_score.sum() > plain.log_score.sum() + 10.0
 
 
+@pytest.mark.slow
 def test_a_robot_with_more_states_is_found_anywhere_and_again(rich):
     log, model, values = rich
     lost = log.select(0, 30, start_mean=np.zeros(3), start_std=np.full(3, np.inf))

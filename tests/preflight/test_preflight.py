@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 from oracles import mistakes
 
-from pmcl.errors import LogError, MapError, PmclError
+from pmcl.errors import LogError, MapError
 from pmcl.filtering.kernels.rays import cast_rays
 from pmcl.geometry import compose
 from pmcl.logs.mrclam import read_mrclam
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
-from pmcl.models.effects.catalogue import CATALOGUE
-from pmcl.models.motion import IncrementNoise
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.models.sensors import LandmarkNoise
 from pmcl.posterior.calibrate import calibrate
 from pmcl.preflight.check import _tells, _usual_noise, checked_logs, disagreements, preflight
 from pmcl.preflight.evidence import evidence_of
@@ -221,45 +218,3 @@ def test_recorded_robots_pass(shared_data):
 def test_mistakes_with_a_recorded_robot_are_named(shared_data, name):
     log = read_mrclam(shared_data / "mrclam6", 1)
     assert name in names(mistakes.mistakes_of(log)[name](log))
-
-
-def _drawn_log(seed):
-    """A log of any of three robots, of 60 to 400 s, with noise drawn from the priors."""
-    rng = np.random.default_rng([seed, 19])
-    duration, robot = int(rng.integers(60, 401)), seed % 3
-    if robot < 2:
-        return (simulate_amigobot, simulate_aibo)[robot](float(duration), seed)
-    bearings = bool(rng.random() < 0.6)
-    sensor = LandmarkNoise(range=True, bearing=bearings)
-    theta = {p.name: float(p.prior.rvs(random_state=rng)) for p in (*IncrementNoise().parameters, *sensor.parameters)}
-    return simulate_landmark_field(duration, seed, theta, bearings=bearings, field_of_view=3.0)
-
-
-@pytest.mark.parametrize("seed", range(9))
-def test_few_logs_drawn_from_the_priors_pass(seed):
-    assert preflight(_drawn_log(5000 + seed)) == ()
-
-
-@pytest.mark.slow
-def test_two_hundred_logs_drawn_from_the_priors_pass():
-    assert [seed for seed in range(6000, 6200) if preflight(_drawn_log(seed))] == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", ["clear", "large"])
-@pytest.mark.parametrize("effect", [effect.name for effect in CATALOGUE])
-def test_missing_effects_are_no_mistakes(effect, size):
-    """What a model lacks is for the critic; a log with it is sound."""
-    given = [f"{effect}={size}"]
-    if (effect, size) == ("turn-noise-grows-with-distance", "large"):
-        pytest.skip("with 1.5 rad of noise in a metre, odometry really has little to do with the motion")
-    for make in (
-        lambda: simulate_amigobot(150.0, 21, effects=given),
-        lambda: simulate_aibo(150.0, 21, effects=given),
-        lambda: simulate_landmark_field(150, 21, bearings=True, effects=given),
-    ):
-        try:
-            log = make()
-        except PmclError:
-            continue  # this robot cannot show it
-        assert preflight(log) == ()

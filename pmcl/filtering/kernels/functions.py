@@ -199,9 +199,9 @@ class InnerFunction(CPUDispatcher):
         options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
         return njit(**options)(self.py_func)
 
-    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        # numba calls what this returns.
-        return self._for_python._compile_for_args(*args, **kws)
+    def __call__(self, *args: Any, **kws: Any) -> Any:
+        """Run the function from Python."""
+        return self._for_python(*args, **kws)
 
 
 def call_template(function: Callable[..., Any], choose: Callable[..., InnerFunction | None]) -> type[AbstractTemplate]:
