@@ -189,3 +189,24 @@ def _triples(value: ArrayLike, name: str) -> Float:
             "give one pose per row"
         )
     return array
+
+
+def late_poses(path: Float, lag: Float) -> Float:
+    """Return the poses at which late readings were taken.
+
+    Parameters
+    ----------
+    path : ndarray, shape (T, >= 3)
+        Poses (x, y, heading) [m, m, rad].
+    lag : ndarray, shape (>= T,)
+        How late the readings of each row are, as a share of the last step.
+
+    Returns
+    -------
+    ndarray, shape (T, 3)
+        Poses between the rows; headings follow the shorter way round and are not wrapped.
+    """
+    poses = path[:, :3].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    step = np.diff(poses, axis=0, prepend=poses[:1])
+    return np.asarray(poses - lag[: len(poses), None] * step)

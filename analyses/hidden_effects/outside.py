@@ -5,12 +5,12 @@ Some are among the critic's formulas as they are (``gyro-ramp``, ``compass-range
 """
 
 import numpy as np
+from pmcl.models.rich_tables import rich_beams
 from scipy import stats
 
-from pmcl.filtering.predict import beam_lengths
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
-from pmcl.models.rich_tables import rich_beams
+from pmcl.models.sensors.range_beams.linearisation import beam_lengths
 
 __all__ = ["OUTSIDE"]
 

@@ -8,8 +8,8 @@ from logs import Hidden, simulate
 from outside import OUTSIDE
 
 from pmcl.criticism.heldout import gap_of
+from pmcl.engine.contract import state_size
 from pmcl.errors import PmclError
-from pmcl.filtering.kernels.contract import state_size
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.filtering.predictive import predict_readings
 from pmcl.logs.robot_log import RobotLog

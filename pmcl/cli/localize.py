@@ -144,7 +144,7 @@ def _model(log: RobotLog, model_file: str | None, posterior: Posterior | None, s
 
     from pmcl.localization.model_choice import model_for
     from pmcl.models.model_file import read_model
-    from pmcl.models.start import StartBelief
+    from pmcl.models.starts.belief import StartBelief
 
     model = model_for(log, posterior) if model_file is None else read_model(model_file, log)
     if start == "anywhere":

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.estimated_path import incidence
-from pmcl.filtering.predict import beam_lengths, ideal_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.terms import motion_of_rows, pose_of_rows
+from pmcl.models.sensor import ReadingIndex, sensor_of
 from pmcl.models.tables import Tables
 
 __all__ = ["RowCovariates", "reading_covariates", "row_covariates"]
@@ -62,18 +61,7 @@ def reading_covariates(
         mine = np.flatnonzero(sensor == number)
         if mine.size == 0:
             continue
-        if hasattr(table, "beam_pose"):
-            t, beam = time[mine], channel[mine]
-            lengths = beam_lengths(table, path)  # type: ignore[arg-type]
-            found["distance"][mine] = np.minimum(lengths, 2.0 * table.max_range)[t, beam]  # type: ignore[attr-defined]
-            found["direction"][mine] = path[t, 2] + table.beam_pose[beam, 2]
-            found["incidence"][mine] = incidence(table, path)[t, beam]
-        elif hasattr(table, "landmark"):
-            which: Any = table.landmark
-            ideal = ideal_readings(table, path)
-            # Slots run through the sightings in order: find each reading's own by its row and landmark.
-            place = {(int(t), int(j)): k for k, (t, j) in enumerate(zip(table.time, which, strict=True))}  # type: ignore[attr-defined]
-            k = np.array([place[(int(t), int(j))] for t, j in zip(time[mine], channel[mine], strict=True)])
-            found["distance"][mine] = ideal[k, 0]
-            found["direction"][mine] = path[time[mine], 2] + ideal[k, 1]
+        index = ReadingIndex((), kind[mine], channel[mine], time[mine], np.full(mine.size, np.nan))
+        for name, values in sensor_of(table).covariates(table, path, index).items():
+            found[name][mine] = values
     return found

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.criticism.covariates import row_covariates
-from pmcl.filtering.estimated_path import along_beams
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import FORMULA_CARRIERS, PREFIX, formula_effect
-from pmcl.models.rich_tables import RichRangeBeams
-from pmcl.models.tables import RangeBeams, Tables
+from pmcl.models.sensor import sensor_of
+from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.tables import Tables
 
 __all__ = ["Steady", "filled_in", "formulas", "steady_changes", "wave"]
 
@@ -68,9 +68,9 @@ def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = Tru
     made = [_formula(carrier, feature) for carrier in carriers for feature in rows]
     made += [_formula(carrier, feature) for carrier in _OF_MOTION for feature in _cell_features(path)]
     for sensor in tables.sensors:
-        if isinstance(sensor, RangeBeams | RichRangeBeams):
+        if isinstance(sensor, RangeBeams):
             made += [_formula(_RANGE, feature) for feature in _beam_features(sensor, path, rows)]
-    if of_noise and any(isinstance(sensor, RangeBeams | RichRangeBeams) for sensor in tables.sensors):
+    if of_noise and any(isinstance(sensor, RangeBeams) for sensor in tables.sensors):
         made += [_formula(_RANGE_NOISE, feature) for feature in rows]
     return tuple(effect for effect in made if effect is not None)
 
@@ -85,7 +85,7 @@ class Steady(NamedTuple):
 def steady_changes(tables: Tables, n_rows: int) -> tuple[Steady, ...]:
     """Return the steady changes that a model can have; waves are made of them."""
     carriers = list(_OF_MOTION) if hasattr(tables.motion, "mean") else []
-    if any(isinstance(sensor, RangeBeams | RichRangeBeams) for sensor in tables.sensors):
+    if any(isinstance(sensor, RangeBeams) for sensor in tables.sensors):
         carriers.append(_RANGE)
     made = ((_formula(carrier, _Feature("1", "1", {}, np.ones(n_rows))), carrier) for carrier in carriers)
     return tuple(Steady(effect, carrier) for effect, carrier in made if effect is not None)
@@ -167,7 +167,7 @@ def _cell_features(path: Float) -> list[_Feature]:
 
 def _beam_features(sensor: Any, path: Float, rows: Sequence[_Feature]) -> list[_Feature]:
     """Return features of each beam at each row, (T, B)."""
-    along = along_beams(sensor, path)
+    along = sensor_of(sensor).along(sensor, path)
     distance, direction = along["distance"], along["world_direction"]
     leaning = np.tan(np.minimum(along["incidence"], _STEEPEST))
     every_beam = (1, distance.shape[1])

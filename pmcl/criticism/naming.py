@@ -15,9 +15,8 @@ from pmcl.criticism.trials import PRACTICAL, Trial
 from pmcl.errors import PmclError
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.models.effects.effect import Effect
-from pmcl.models.rich_tables import uniform
 from pmcl.models.robot_model import BoundModel
-from pmcl.models.tables import Tables
+from pmcl.models.tables import Tables, uniform
 
 __all__ = [
     "choose", "confirmed_without_score", "contenders", "contenders_when_lost", "leaders", "of_a_carrier",

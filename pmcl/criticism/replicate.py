@@ -8,20 +8,17 @@ rejected or redrawn.
 
 from __future__ import annotations
 
-from functools import singledispatch
-from typing import Any
-
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.errors import ModelError
 from pmcl.filtering.kernels.steering import steered_path
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.tables import GaussianStart, LandmarkSightings, RangeBeams, Tables
-from pmcl.robots.simulate import simulate_readings
+from pmcl.models.sensor import sensor_of
+from pmcl.models.starts.table import GaussianStart
+from pmcl.models.tables import Tables
 
-__all__ = ["replicated_log", "store_readings"]
+__all__ = ["replicated_log"]
 
 Float = NDArray[np.float64]
 
@@ -66,7 +63,8 @@ def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.rand
     dataset = log.without_truth().dataset.copy(deep=True)
     dataset["odometry"].values[1:] += correction[1:]
     for sensor in tables.sensors:
-        store_readings(simulate_readings(sensor, path, rng), dataset)
+        kind = sensor_of(sensor)
+        kind.store(kind.simulate(sensor, path, rng), dataset)
     return RobotLog.trusted(dataset, f"{log.where} (simulated)")
 
 
@@ -79,39 +77,3 @@ def _first(tables: Tables, reference: Float, rng: np.random.Generator) -> Float:
         # The same branch of the heading as the reference.
         first[2] += 2.0 * np.pi * np.round((reference[0, 2] - first[2]) / (2.0 * np.pi))
     return first
-
-
-@singledispatch
-def store_readings(table: Any, dataset: xr.Dataset) -> None:
-    """Write the readings of a sensor table into a log's dataset, in place; a type of one's own registers a function.
-
-    Raises
-    ------
-    ModelError
-        For a table type that has registered nothing.
-    """
-    if hasattr(table, "beam_pose"):
-        _store_ranges(table, dataset)
-    elif hasattr(table, "landmark"):
-        _store_sightings(table, dataset)
-    else:
-        raise ModelError(
-            f"expected a sensor table whose readings can be put into a log, but got {type(table).__name__}; "
-            "register a function for it with store_readings.register"
-        )
-
-
-@store_readings.register
-def _store_ranges(table: RangeBeams, dataset: xr.Dataset) -> None:
-    dataset["range"].values[:] = table.reading
-
-
-@store_readings.register
-def _store_sightings(table: LandmarkSightings, dataset: xr.Dataset) -> None:
-    for name in ("range", "bearing", "size"):
-        values, into = getattr(table, name), f"landmark_{name}"
-        seen = ~np.isnan(values)
-        if into in dataset and seen.any():
-            # A distance below zero, far out in the tail of the noise, is no reading that a log may hold.
-            stored = values if name == "bearing" else np.maximum(values, 0.0)
-            dataset[into].values[table.time[seen], table.landmark[seen]] = stored[seen]

@@ -1,6 +1,6 @@
 """A sensor of your own: a compass that reads the robot's heading, beside the landmarks that it sees.
 
-Its parts: a table, functions of that table for numba (pmcl.filtering.kernels.contract), classes (pmcl.models.parts).
+Its parts: a table, functions of that table for numba (pmcl.engine.contract), classes (pmcl.models.part).
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 import pmcl
-from pmcl.filtering.kernels import contract
+from pmcl.engine import contract
 from pmcl.filtering.predict import reading_geometry
 from pmcl.models import LandmarkNoise, RobotModel
 from pmcl.robots import simulate_landmark_field
@@ -23,22 +23,22 @@ class CompassReadings(NamedTuple):
     std: float
 
 
-@contract.scratch_rows.register(CompassReadings, allocates=False)
+@contract.scratch_rows.register(CompassReadings)
 def _no_scratch(table):
     return 0
 
 
-@contract.looks_back.register(CompassReadings, allocates=False)
+@contract.looks_back.register(CompassReadings)
 def _only_the_current_pose_counts(sensor):
     return False
 
 
-@contract.has_reading.register(CompassReadings, allocates=False)
+@contract.has_reading.register(CompassReadings)
 def _has_reading(sensor, t):
     return not math.isnan(sensor.heading[t])
 
 
-@contract.reading_logpdf.register(CompassReadings, allocates=False)
+@contract.reading_logpdf.register(CompassReadings)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     # The n columns of `current` are poses (x, y, heading). The log density of each is added to `logp`.
     for i in range(logp.size):
@@ -52,7 +52,7 @@ def _(table: CompassReadings, reference: Any) -> CompassReadings:
     return CompassReadings(np.remainder(table.heading - reference[:, 2] + np.pi, 2.0 * np.pi) - np.pi, table.std)
 
 
-@contract.linear_information.register(CompassReadings, allocates=False)
+@contract.linear_information.register(CompassReadings)
 def _linear_information(sensor, geometry, t, precision, shift):
     if not math.isnan(sensor.heading[t]):
         precision[2, 2] += sensor.std**-2

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from functools import singledispatch
-from typing import Any
-
 import numpy as np
 
+from pmcl.engine.compile_ahead import Call, compile_ahead
+from pmcl.engine.contract import state_size
+from pmcl.engine.tables import with_extras
 from pmcl.filtering.kernels import linear, smc
-from pmcl.filtering.kernels.ahead import Call, compile_ahead
-from pmcl.filtering.kernels.contract import state_size
-from pmcl.filtering.kernels.geometry import ReadingGeometry, RichGeometry
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
-from pmcl.filtering.kernels.rich_ranges import rays_along, terms_given_rays
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams, rich_beams, rich_landmarks, rich_motion, uniform
-from pmcl.models.tables import IncrementMotion, LandmarkSightings, RangeBeams, Tables
+from pmcl.models.sensor import sensor_of
+from pmcl.models.tables import Tables, uniform
 
 __all__ = ["compile_for_calibration", "compile_for_criticism"]
 
@@ -27,9 +23,8 @@ def compile_for_calibration(tables: Tables) -> None:
 
 def compile_for_criticism(tables: Tables) -> None:
     """Begin to compile what the criticism of a model with such tables needs; return at once."""
-    motion = tables.motion
-    moved = tables._replace(motion=rich_motion(motion)) if isinstance(motion, IncrementMotion) else tables
-    full = uniform(tables._replace(sensors=tuple(_rich(sensor) for sensor in tables.sensors)))
+    moved = tables._replace(motion=with_extras(tables.motion))
+    full = uniform(tables._replace(sensors=tuple(with_extras(sensor) for sensor in tables.sensors)))
     filtering = _filtering(tables)
     compile_ahead(
         [
@@ -45,32 +40,6 @@ def compile_for_criticism(tables: Tables) -> None:
     )
 
 
-def _rich(sensor: Any) -> Any:
-    if isinstance(sensor, RangeBeams):
-        return rich_beams(sensor)
-    return rich_landmarks(sensor) if isinstance(sensor, LandmarkSightings) else sensor
-
-
-@singledispatch
-def _geometry(sensor: Any) -> Any:
-    """Return a linearisation of the type that :func:`pmcl.filtering.predict.reading_geometry` makes of a table."""
-    return None
-
-
-@_geometry.register(RangeBeams)
-@_geometry.register(LandmarkSightings)
-def _(sensor: Any) -> ReadingGeometry:
-    number, index = np.empty(1), np.empty(1, dtype=np.int64)
-    return ReadingGeometry(index, index, index, number, number, np.empty((1, 3)), number)
-
-
-@_geometry.register(RichRangeBeams)
-@_geometry.register(RichLandmarks)
-def _(sensor: Any) -> RichGeometry:
-    number, index = np.empty(1), np.empty(1, dtype=np.int64)
-    return RichGeometry(index, index, index, number, number, np.empty((1, 3)), number, number, number, number)
-
-
 def _sampling(tables: Tables) -> list[Call]:
     """Return the calls of a particle Gibbs sweep with its transport moves, in their order."""
     rng, path = make_rng(0), np.empty((1, int(state_size(tables.motion))))
@@ -78,8 +47,8 @@ def _sampling(tables: Tables) -> list[Call]:
         (smc.sweep, (tables, rng, 1, 1, True, path)),
         (smc.joint_terms, (tables, path)),
     ]
-    geometries = tuple(_geometry(sensor) for sensor in tables.sensors)
-    if None not in [geometry and 1 for geometry in geometries]:
+    geometries = tuple(sensor_of(sensor).linearisation_like(sensor) for sensor in tables.sensors)
+    if all(geometry is not None for geometry in geometries):
         starts, logs = np.empty(1, dtype=np.int64), np.empty(1)
         calls += [
             (linear.factorise, (tables, geometries, path)),
@@ -106,8 +75,6 @@ def _scoring(tables: Tables) -> list[Call]:
     columns = np.empty((1, int(state_size(tables.motion)), 1))
     calls: list[Call] = [(smc.motion_terms, (tables.start, tables.motion, columns))]
     for sensor in tables.sensors:
-        if isinstance(sensor, RichRangeBeams):
-            calls.append((rays_along, (sensor, columns)))
-            calls.append((terms_given_rays, (sensor, columns, columns, np.empty(1, dtype=np.int64))))
+        calls += sensor_of(sensor).scoring_calls(sensor, columns)
         calls.append((smc.sensor_terms, (sensor, columns)))
     return calls

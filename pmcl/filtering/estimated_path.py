@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
-from pmcl.filtering.predict import beam_lengths
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import path_formulas
 from pmcl.models.robot_model import BoundModel, RobotModel
+from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 
-__all__ = ["START_PARTICLES", "along_beams", "incidence", "plausible_theta", "with_estimated_path", "with_estimates"]
+__all__ = ["START_PARTICLES", "plausible_theta", "with_estimated_path", "with_estimates"]
 
 Float = NDArray[np.float64]
 
@@ -130,35 +130,8 @@ def with_estimates(log: RobotLog, tables: Tables, path: Float) -> RobotLog:
     """
     found: dict[str, Any] = {"estimated_path": (("time", "pose"), np.array(path[:, :3]))}
     for table in tables.sensors:
-        if hasattr(table, "beam_pose") and "beam" in log.dataset.dims:
-            along = along_beams(table, path)
+        along = sensor_of(table).along(table, path)
+        if along and "beam" in log.dataset.dims:
             found |= {f"estimated_{name}": (("time", "beam"), values) for name, values in along.items()}
             break
     return RobotLog.trusted(log.dataset.assign(found), log.where)
-
-
-def along_beams(table: Any, path: Float) -> dict[str, Float]:
-    """Return what the terms of formulas may know of each beam at each row, (T, B), along a path (T, >= 3).
-
-    ``distance`` [m], ``incidence`` and ``world_direction`` [rad], see :data:`pmcl.models.effects.terms.OF_BEAMS`.
-    """
-    return {
-        "distance": np.minimum(beam_lengths(table, path), table.max_range),
-        "incidence": incidence(table, path),
-        "world_direction": path[:, 2, None] + table.beam_pose[:, 2],
-    }
-
-
-def incidence(table: Any, path: Float) -> Float:
-    """Return the angle between each beam and the normal of the wall it meets [rad], (T, B), 0 to pi / 2.
-
-    A beam turned by a small angle grows by its length times the tangent of the incidence, whichever wall it meets.
-    """
-    small = 1e-4
-    turned = [
-        beam_lengths(table._replace(beam_pose=table.beam_pose + np.array([0.0, 0.0, sign * small])), path)
-        for sign in (1.0, -1.0)
-    ]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slope = np.abs(turned[0] - turned[1]) / (small * (turned[0] + turned[1]))
-    return np.where(np.isfinite(slope), np.arctan(slope), 0.0)

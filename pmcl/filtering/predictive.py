@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import singledispatch
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,62 +11,13 @@ from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.filtering.particle_filter import FilterPass, check_particles, raise_outcome
 from pmcl.interrupts import check_interrupt
-from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
-from pmcl.models.tables import LandmarkSightings, RangeBeams, Tables
+from pmcl.models.sensor import sensor_of
+from pmcl.models.tables import Tables
 
-__all__ = ["Predictions", "ReadingIndex", "predict_readings", "reading_index"]
+__all__ = ["Predictions", "predict_readings"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
-
-
-class ReadingIndex(NamedTuple):
-    """What each slot of a sensor is.
-
-    Attributes
-    ----------
-    kinds : tuple of str
-        Names of the variables in a log that hold the readings, e.g. ``("range",)``.
-    kind, channel, time : ndarray of int, shape (N,)
-        Position in `kinds`; beam or landmark; row.
-    reading : ndarray, shape (N,)
-        The reading in its own unit, NaN where nothing was measured.
-    """
-
-    kinds: tuple[str, ...]
-    kind: Int
-    channel: Int
-    time: Int
-    reading: Float
-
-
-@singledispatch
-def reading_index(table: Any, n_steps: int) -> ReadingIndex:
-    """Return what each slot of a sensor table is, in the order of its kernel ``reading_slots``.
-
-    A table type that registers nothing has one slot per row, named after the type.
-    """
-    rows = np.arange(n_steps, dtype=np.int64)
-    nothing = np.zeros(n_steps, dtype=np.int64)
-    return ReadingIndex((type(table).__name__,), nothing, nothing, rows, np.full(n_steps, np.nan))
-
-
-@reading_index.register(RangeBeams)
-@reading_index.register(RichRangeBeams)
-def _(table: Any, n_steps: int) -> ReadingIndex:
-    n_beams = table.reading.shape[1]
-    time, beam = np.divmod(np.arange(n_steps * n_beams, dtype=np.int64), n_beams)
-    return ReadingIndex(("range",), np.zeros_like(beam), beam, time, table.reading[:n_steps].ravel())
-
-
-@reading_index.register(LandmarkSightings)
-@reading_index.register(RichLandmarks)
-def _(table: Any, n_steps: int) -> ReadingIndex:
-    n = int(table.first[n_steps])
-    sighting, kind = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
-    reading = np.stack([table.range[:n], table.bearing[:n], table.size[:n]], axis=-1).ravel()
-    kinds = ("landmark_range", "landmark_bearing", "landmark_size")
-    return ReadingIndex(kinds, kind, table.landmark[sighting], table.time[sighting], reading)
 
 
 @dataclass(frozen=True)
@@ -155,7 +104,7 @@ def predict_readings(
     )
     raise_outcome(status, t, "particle filter")
     filtered = FilterPass(evidence, particles, log_weights, steps[:, 0], steps[:, 1], ancestors)
-    indices = [reading_index(sensor, n_steps) for sensor in tables.sensors]
+    indices = [sensor_of(sensor).index(sensor, n_steps) for sensor in tables.sensors]
     kinds = tuple(name for index in indices for name in index.kinds)
     before = np.cumsum([0, *(len(index.kinds) for index in indices)])
     seen = np.flatnonzero(~np.isnan(score))

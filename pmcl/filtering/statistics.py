@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.predict import ideal_readings
+from pmcl.engine.residuals import GaussianSums
 from pmcl.models.robot_model import BoundModel
-from pmcl.models.statistics import GaussianSums
+from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 
 __all__ = ["block_statistics", "trajectory_statistics"]
@@ -72,7 +72,7 @@ def block_statistics(
                 continue
             statistics = None
             if bound.has_statistics(position):
-                ideal = ideal_readings(table, path) if position > 1 else None
+                ideal = sensor_of(table).ideal_readings(table, path) if position > 1 else None
                 statistics = part.statistics(table, path, ideal, slots.index, slots.take(theta))
             if statistics is None:
                 lacking.add(position)

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.engine import contract
 from pmcl.errors import FilterError, ModelError
-from pmcl.filtering.kernels import contract, elsewhere, localize
-from pmcl.filtering.kernels.localize_state import Options, new_state
+from pmcl.filtering.kernels.tracking import recovery, track
+from pmcl.filtering.kernels.tracking.state import Options, new_state
 from pmcl.filtering.kernels.weighing import ALL_ZERO, FINE, NOT_A_NUMBER
 from pmcl.models.tables import Tables
 
@@ -163,17 +164,17 @@ class Tracker:
         told = np.full((n_rows, 3), np.nan)
         row, status = begin - 1, FINE
         while row < end - 1 and status == FINE:
-            status, row = localize.localize_rows(
+            status, row = track.localize_rows(
                 self.tables, self.stack, self.options, begin, row + 1, end, counts, rng, self._state,
                 mean, covariance, told,
             )  # fmt: skip
             i = row - begin
-            if status == localize.START_UNKNOWN:
-                status = elsewhere.first_reading(
+            if status == track.START_UNKNOWN:
+                status = recovery.first_reading(
                     self.tables, self.stack, self.options, row, rng, self._state, mean[i], covariance[i], told[i]
                 )
-            elif status == localize.SOMEWHERE_ELSE:
-                status = elsewhere.look_elsewhere(
+            elif status == track.SOMEWHERE_ELSE:
+                status = recovery.look_elsewhere(
                     self.tables, self.stack, self.anywhere, self.options, row, rng, self._state,
                     mean[i], covariance[i], told[i],
                 )  # fmt: skip

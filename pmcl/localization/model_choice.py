@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_file import model_of_text
-from pmcl.models.motion import GrowingIncrementNoise
+from pmcl.models.motions.increments.motion import GrowingIncrementNoise
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.models.start import StartBelief
+from pmcl.models.starts.belief import StartBelief
 from pmcl.posterior.access import parameter_names
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.settings import settings

@@ -110,7 +110,7 @@ class OnlineLocalizer:
         # Bound once, with everything checked, to rows without readings; later rows follow without checks.
         template = RecentRows(robot, memory)
         for time in (0.0, 1.0):
-            template.add(time, np.zeros(3), dict.fromkeys(_CHANNELS))
+            template.add(time, np.zeros(3), {})
         self._prepared = prepare(
             template, default_model(robot) if model is None else model, posterior, method, theta, particles, options
         )
@@ -119,11 +119,7 @@ class OnlineLocalizer:
         self,
         time: float,
         odometry: ArrayLike | None = None,
-        *,
-        range: ArrayLike | None = None,
-        landmark_range: ArrayLike | None = None,
-        landmark_bearing: ArrayLike | None = None,
-        landmark_size: ArrayLike | None = None,
+        **readings: ArrayLike | None,
     ) -> PoseEstimate:
         """Take in one time step.
 
@@ -134,10 +130,10 @@ class OnlineLocalizer:
         odometry : array_like, shape (3,)
             Displacement (forward, left, turn) since the last step, in the robot frame there [m, m, rad]; not read at
             the first step.
-        range : array_like, shape (B,), optional
-            Range readings [m]; NaN not measured, inf no echo.
-        landmark_range, landmark_bearing, landmark_size : array_like, shape (J,), optional
-            Readings of the landmarks [m], [rad], [pixel]; NaN not seen.
+        **readings : array_like
+            What the robot's sensors measured, by the names of the log format and in its units; NaN where nothing was
+            measured, as is what is left out. ``range`` has shape (B,) [m], inf for no echo; ``landmark_range`` [m],
+            ``landmark_bearing`` [rad] and ``landmark_size`` [pixel] have shape (J,).
 
         Returns
         -------
@@ -152,12 +148,6 @@ class OnlineLocalizer:
             When the filter has lost the robot: start again, with a start anywhere.
         """
         time = check_number("time", time, unit="s", error=LogError, advice="give the sample time")
-        readings = {
-            "range": range,
-            "landmark_range": landmark_range,
-            "landmark_bearing": landmark_bearing,
-            "landmark_size": landmark_size,
-        }
         self._rows.add(time, odometry, readings)
         bound = self._prepared.bound.on_later_rows(self._rows)
         tracker = self._prepared.tracker
@@ -177,5 +167,3 @@ class OnlineLocalizer:
         """The belief itself: states (D, n) and their weights (n,), which sum to 1."""
         return self._prepared.tracker.particles()
 
-
-_CHANNELS = ("range", "landmark_range", "landmark_bearing", "landmark_size")

@@ -10,7 +10,7 @@ from pmcl.checks import check_choice, check_flag, check_number, check_whole
 from pmcl.errors import FilterError
 from pmcl.filtering.kernels.resampling import SCHEMES
 from pmcl.filtering.tracker import Options
-from pmcl.models.tables import PoseStart
+from pmcl.models.starts.table import PoseStart
 
 __all__ = ["FilterOptions"]
 
@@ -37,7 +37,7 @@ class FilterOptions:
     threshold : float
         Resample where the effective sample size is at most this share of the particles: 1 always, 0 never.
     annealed : bool
-        Take in the first reading by degrees when the start is unknown, see :mod:`pmcl.filtering.kernels.anneal`.
+        Take in the first reading by degrees when the start is unknown, see :mod:`pmcl.filtering.kernels.tracking.anneal`.
     recover : bool
         Look for the robot elsewhere when its readings suddenly become unlikely, as after being carried away.
     least_particles : int, optional

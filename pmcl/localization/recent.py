@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -9,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmcl.errors import LogError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import readings, variables
 from pmcl.maps.arrays import as_numbers
+from pmcl.registry import SENSORS, registered
 
 __all__ = ["RecentRows"]
 
 Float = NDArray[np.float64]
-_CHANNELS = ("range", "landmark_range", "landmark_bearing", "landmark_size")
 
 
 class RecentRows(RobotLog):
@@ -35,8 +37,8 @@ class RecentRows(RobotLog):
 
     def __init__(self, robot: RobotLog, memory: int) -> None:
         values: dict[str, object] = {"dataset": robot.dataset, "where": robot.where, "_memory": memory, "_seen": 0}
-        widths = {name: robot.dataset[name].shape[1] for name in _CHANNELS if name in robot.dataset}
-        values["_rows"] = {name: np.empty((0, width)) for name, width in {"odometry": 3, **widths}.items()}
+        shapes = {name: robot.dataset[name].shape[1:] for name in readings() if name in robot.dataset}
+        values["_rows"] = {name: np.empty((0, *shape)) for name, shape in {"odometry": (3,), **shapes}.items()}
         values["_times"] = np.empty(0)
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -50,7 +52,7 @@ class RecentRows(RobotLog):
     def __post_init__(self) -> None:
         """Nothing: the rows are checked as they come."""
 
-    def add(self, time: float, odometry: ArrayLike | None, readings: dict[str, ArrayLike | None]) -> None:
+    def add(self, time: float, odometry: ArrayLike | None, measured: Mapping[str, ArrayLike | None]) -> None:
         """Check one more row and keep it; on an error the rows stay as they were.
 
         Parameters
@@ -59,7 +61,7 @@ class RecentRows(RobotLog):
             Sample time [s], later than that of the row before.
         odometry : array_like, shape (3,)
             Displacement since the row before, in its frame [m, m, rad]; not read at the first row.
-        readings : dict of str to array_like
+        measured : mapping of str to array_like
             Readings by the names of the log format; None or NaN where nothing was measured.
 
         Raises
@@ -74,7 +76,7 @@ class RecentRows(RobotLog):
                 "give the sample times in order"
             )
         row = {"odometry": self._odometry(odometry, what)}
-        for name, values in readings.items():
+        for name, values in measured.items():
             if name in self._rows:
                 row[name] = self._reading(name, values, what)
             elif values is not None:
@@ -101,28 +103,35 @@ class RecentRows(RobotLog):
         return values
 
     def _reading(self, name: str, values: ArrayLike | None, what: str) -> Float:
-        width = self._rows[name].shape[1]
+        shape = self._rows[name].shape[1:]
         if values is None:
-            return np.full(width, np.nan)
+            return np.full(shape, np.nan)
         try:
             found = as_numbers(values)
         except TypeError as problem:
             raise LogError(f"{what}: expected numbers in '{name}', but got {problem}; convert them") from None
-        if found.shape != (width,):
-            raise LogError(f"{what}: expected {width} numbers in '{name}', but got shape {found.shape}; NaN is missing")
-        wrong = found < 0.0 if name != "landmark_bearing" else np.isinf(found)
-        wrong |= np.isinf(found) if name in ("landmark_range", "landmark_size") else False
+        if found.shape != shape:
+            size = int(np.prod(shape))
+            raise LogError(f"{what}: expected {size} numbers in '{name}', but got shape {found.shape}; NaN is missing")
+        declared = variables()[name]
+        wrong = np.zeros(shape, dtype=bool) if declared.may_be_infinite else np.isinf(found)
+        if declared.minimum is not None:
+            wrong |= found < declared.minimum
         if wrong.any():
             k = int(np.argmax(wrong))
-            raise LogError(f"{what}: expected possible readings in '{name}', but got {found[k]:g} at place {k}")
+            raise LogError(
+                f"{what}: expected possible readings in '{name}', but got {found.ravel()[k]:g} at place {k}"
+            )
         return found
 
     def readings_of_last_row(self) -> int:
-        """Return the number of beam readings and landmark sightings of the latest row."""
-        rows = {name: values[-1] for name, values in self._rows.items() if name != "odometry"}
-        beams = int(np.count_nonzero(~np.isnan(rows["range"]))) if "range" in rows else 0
-        seen = [~np.isnan(values) for name, values in rows.items() if name != "range"]
-        return beams + (int(np.count_nonzero(np.any(seen, axis=0))) if seen else 0)
+        """Return the number of readings of the latest row."""
+        total = 0
+        for sensor in registered(SENSORS).values():
+            held = {name: self._rows[name][-1:] for name in sensor.readings() if name in self._rows}
+            if held:
+                total += int(sensor.count(held)[0])
+        return total
 
     @property
     def n_steps(self) -> int:
@@ -150,6 +159,8 @@ class RecentRows(RobotLog):
         return
 
     def _optional(self, name: str) -> Float | None:
-        if name == "landmark_time_offset":
-            return None
-        return self._rows[name] if name in self._rows else super()._optional(name)
+        if name in self._rows:
+            return self._rows[name]
+        # What belongs to the rows of the log that was given belongs to no row here.
+        declared = variables().get(name)
+        return None if declared is not None and "time" in declared.dims else super()._optional(name)

@@ -15,17 +15,15 @@ from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.filtering.tracker import Tracker
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.parameters import choose_theta
-from pmcl.logs.arrays import LogArrays
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import path_formulas
-from pmcl.models.rich_tables import WiderStart
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
-from pmcl.models.start import StartBelief
-from pmcl.models.tables import GaussianStart, PoseStart
+from pmcl.models.starts.belief import StartBelief
+from pmcl.models.starts.table import GaussianStart, PoseStart, WiderStart
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.estimates import posterior_mean
 
-__all__ = ["Prepared", "anywhere", "prepare", "reading_counts"]
+__all__ = ["Prepared", "anywhere", "prepare"]
 
 Float = NDArray[np.float64]
 
@@ -90,7 +88,7 @@ def prepare(
     start = tables[0].start
     elsewhere = anywhere(log, start) if options.recover else None
     tracker = Tracker(tables, elsewhere, options.for_kernel(particles, len(values), picks, start))
-    return Prepared(bound, values, tracker, reading_counts(log), options)
+    return Prepared(bound, values, tracker, log.readings_of_rows(), options)
 
 
 def _with_path(
@@ -126,14 +124,3 @@ def anywhere(log: RobotLog, start: Any) -> Any:
     if isinstance(start, WiderStart):
         return start._replace(pose=unknown)
     return unknown if size == 3 else WiderStart(unknown, start.mean[3:].copy(), start.std[3:].copy())
-
-
-def reading_counts(log: LogArrays) -> NDArray[np.int64]:
-    """Return the number of beam readings and landmark sightings at each row, (T,)."""
-    count = np.zeros(log.n_steps, dtype=np.int64)
-    if log.ranges is not None:
-        count += np.count_nonzero(~np.isnan(log.ranges), axis=1)
-    seen = [values for values in (log.landmark_range, log.landmark_bearing, log.landmark_size) if values is not None]
-    if seen:
-        count += np.count_nonzero(np.any([~np.isnan(values) for values in seen], axis=0), axis=1)
-    return count

@@ -12,12 +12,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from pmcl.logs.schema import FORMAT, LANDMARK_READINGS, REFERENCE, VARIABLES
-from pmcl.logs.validation import landmark_names
+from pmcl.logs.schema import FORMAT, REFERENCE, variables
 from pmcl.maps.landmarks import LandmarkMap
 from pmcl.maps.walls import WallMap
+from pmcl.registry import SENSORS, registered
 
-__all__ = ["LogArrays"]
+__all__ = ["LogArrays", "landmark_names"]
 
 Float = NDArray[np.float64]
 
@@ -48,15 +48,37 @@ class LogArrays:
 
     @cached_property
     def n_readings(self) -> int:
-        """Number of beam readings and landmark sightings.
+        """Number of readings of all sensors.
 
         A beam without echo (inf) was measured and counts; a sighting counts once, however much of distance, bearing
         and size it tells.
         """
-        seen = [self._optional(name) for name in LANDMARK_READINGS]
-        sightings = [~np.isnan(values) for values in seen if values is not None]
-        beams = 0 if self.ranges is None else int(np.count_nonzero(~np.isnan(self.ranges)))
-        return beams + (int(np.count_nonzero(np.any(sightings, axis=0))) if sightings else 0)
+        return int(self.readings_of_rows().sum())
+
+    def readings_of_rows(self) -> NDArray[np.int64]:
+        """Return the number of readings of all sensors in each row, (T,)."""
+        total = np.zeros(self.n_steps, dtype=np.int64)
+        for sensor in registered(SENSORS).values():
+            held = {name: self.variable(name) for name in sensor.readings()}
+            held = {name: values for name, values in held.items() if values is not None}
+            if held:
+                total += sensor.count(held)
+        return total
+
+    def variable(self, name: str) -> Float | None:
+        """Return a variable of the log by its name in the file, or None when the log does not have it.
+
+        Parameters
+        ----------
+        name : str
+            For example ``"range"``, or the variable of a sensor that an installed package adds.
+
+        Returns
+        -------
+        ndarray or None
+            Read-only.
+        """
+        return self._optional(name)
 
     @property
     def robot(self) -> str:
@@ -182,7 +204,8 @@ class LogArrays:
         Equal for two logs exactly when calibration cannot tell them apart: names, notes, the reference trajectory,
         the true parameters, the seed and the ignored odometry of row 0 do not count.
         """
-        seen = {name: self.dataset[name].values for name in VARIABLES if name in self.dataset and name not in REFERENCE}
+        names = [name for name in variables() if name in self.dataset and name not in REFERENCE]
+        seen = {name: self.dataset[name].values for name in names}
         seen |= {"odometry": self.odometry, "landmark_sensor_pose": self.landmark_sensor_pose}
         seen["max_range"] = np.array(self.max_range)
         seen["size_at_one_metre"] = np.array(np.nan if self.size_at_one_metre is None else self.size_at_one_metre)
@@ -195,6 +218,11 @@ class LogArrays:
 
     def _optional(self, name: str) -> Float | None:
         return _frozen(self.dataset[name].values) if name in self.dataset else None
+
+
+def landmark_names(dataset: xr.Dataset) -> tuple[str, ...]:
+    """Names of the landmarks: the labels of their dimension, or nothing when it has none."""
+    return tuple(str(label) for label in dataset["landmark"].values) if "landmark" in dataset.coords else ()
 
 
 def _frozen(values: Float) -> Float:

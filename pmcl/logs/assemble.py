@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from pmcl.logs.schema import FORMAT, LABELS, VARIABLES
+from pmcl.logs.schema import FORMAT, LABELS, variables
 from pmcl.logs.validation import fail
 from pmcl.maps.arrays import as_numbers
 
@@ -48,8 +48,8 @@ def assemble(
     attrs = {"format": FORMAT, **{key: value for key, value in attributes.items() if value is not None}}
     of_variables = {name: attrs.pop(name) for name in ("max_range", "size_at_one_metre") if name in attrs}
     sizes: dict[str, tuple[int, str]] = {dim: (len(labels), "the format") for dim, labels in LABELS.items()}
-    variables: dict[str, tuple[tuple[str, ...], NDArray[np.float64], dict[str, object]]] = {}
-    for name, variable in VARIABLES.items():
+    found: dict[str, tuple[tuple[str, ...], NDArray[np.float64], dict[str, object]]] = {}
+    for name, variable in variables().items():
         value = arrays.get(name)
         if value is None:
             continue
@@ -68,11 +68,11 @@ def assemble(
                     f"expected {known} along '{dim}' in '{name}' ({shape}) because of {source}, got {size}: "
                     "make both agree",
                 )
-        variables[name] = (variable.dims, array, {"units": variable.units, "long_name": variable.long_name})
+        found[name] = (variable.dims, array, {"units": variable.units, "long_name": variable.long_name})
     for name, owner in (("max_range", "range"), ("size_at_one_metre", "landmark_size")):
-        if owner in variables and name in of_variables:
-            variables[owner][2][name] = of_variables[name]
+        if owner in found and name in of_variables:
+            found[owner][2][name] = of_variables[name]
     coords: dict[str, object] = {}
     if landmark_names:
         coords["landmark"] = list(landmark_names)
-    return xr.Dataset(variables, coords=coords, attrs=attrs)
+    return xr.Dataset(found, coords=coords, attrs=attrs)

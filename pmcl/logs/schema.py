@@ -1,17 +1,21 @@
-"""The variables of a robot log: names, dimensions, units. The one place that spells the file format out."""
+"""The variables of a robot log: names, dimensions, units.
+
+Every log has the variables that are declared here; each sensor declares its own (:mod:`pmcl.models.sensor`).
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from pmcl.registry import SENSORS, registered
+
 __all__ = [
     "FORMAT",
     "LABELS",
-    "LANDMARK_READINGS",
-    "READINGS",
     "REFERENCE",
-    "VARIABLES",
     "Variable",
+    "readings",
+    "variables",
 ]
 
 FORMAT = "pmcl-log/1"
@@ -28,37 +32,50 @@ class Variable(NamedTuple):
         One unit, or one for each component of the last axis.
     long_name : str
         What it means.
+    is_reading : bool
+        Whether it holds readings of a sensor, NaN where nothing was measured.
+    minimum : float or None
+        Smallest possible reading; None where any number is possible.
+    may_be_infinite : bool
+        Whether an infinite reading has a meaning, such as "no echo".
     """
 
     dims: tuple[str, ...]
     units: str
     long_name: str
+    is_reading: bool = False
+    minimum: float | None = None
+    may_be_infinite: bool = False
 
 
-_SIGHTING = ("time", "landmark")
-
-VARIABLES: dict[str, Variable] = {
+_GENERAL: dict[str, Variable] = {
     "time": Variable(("time",), "s", "sample times"),
     "odometry": Variable(("time", "increment"), "m, m, rad", "displacement from the previous sample, in its frame"),
-    "range": Variable(("time", "beam"), "m", "range readings; NaN not measured, inf or max_range no echo"),
-    "beam_pose": Variable(("beam", "pose"), "m, m, rad", "where each beam sits on the robot"),
-    "landmark_range": Variable(_SIGHTING, "m", "distance reading to a landmark; NaN not seen"),
-    "landmark_bearing": Variable(_SIGHTING, "rad", "bearing reading in the sensor frame; NaN not seen"),
-    "landmark_size": Variable(_SIGHTING, "pixel", "apparent size; NaN not seen"),
-    "landmark_time_offset": Variable(_SIGHTING, "s", "time of the reading minus time of its sample"),
-    "landmark_position": Variable(("landmark", "xy"), "m", "landmark map"),
-    "landmark_sensor_pose": Variable(("pose",), "m, m, rad", "where the landmark sensor sits on the robot"),
     "wall": Variable(("wall_index", "end", "xy"), "m", "segment map"),
     "start_mean": Variable(("pose",), "m, m, rad", "mean of the belief about the pose at row 0"),
     "start_std": Variable(("pose",), "m, m, rad", "standard deviation of that belief; inf anywhere on the map"),
     "true_pose": Variable(("time", "pose"), "m, m, rad", "reference trajectory, for scoring only"),
 }
 
-LANDMARK_READINGS = ("landmark_range", "landmark_bearing", "landmark_size")
-"""Variables that read known landmarks."""
 
-READINGS = ("range", *LANDMARK_READINGS)
-"""Variables that read the world; a log holds at least one."""
+def variables() -> dict[str, Variable]:
+    """Return all variables of the format: those of every log, and those of each registered sensor.
+
+    Returns
+    -------
+    dict of str to Variable
+        In the order in which checks and files name them.
+    """
+    of_sensors: dict[str, Variable] = {}
+    for sensor in registered(SENSORS).values():
+        of_sensors |= sensor.variables
+    return {"time": _GENERAL["time"], "odometry": _GENERAL["odometry"], **of_sensors, **_GENERAL}
+
+
+def readings() -> tuple[str, ...]:
+    """Return the names of the variables that read the world; a log holds at least one of them."""
+    return tuple(name for name, variable in variables().items() if variable.is_reading)
+
 
 REFERENCE = ("true_pose",)
 """Variables that calibration and criticism never read."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -14,17 +15,17 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from pmcl.errors import LogError, MapError
-from pmcl.logs.schema import FORMAT, LABELS, LANDMARK_READINGS, READINGS, VARIABLES
+from pmcl.logs.schema import FORMAT, LABELS, Variable, readings, variables
 from pmcl.maps.arrays import as_numbers
-from pmcl.maps.landmarks import LandmarkMap
 from pmcl.maps.walls import WallMap
+from pmcl.registry import SENSORS, registered
 
-__all__ = ["fail", "validated"]
+__all__ = ["ONE_TURN", "check_readings", "fail", "positive_number", "require_finite", "validated"]
 
 Float = NDArray[np.float64]
 
 # No bearing and no yaw of a beam is larger; half a degree is left for rounding [rad].
-_ONE_TURN = 2.0 * math.pi + 0.01
+ONE_TURN = 2.0 * math.pi + 0.01
 
 
 def fail(where: str, message: str) -> NoReturn:
@@ -63,10 +64,11 @@ def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
         fail(where, f"expected a robot log with attribute format = {FORMAT!r}, got {got}: convert it with pmcl convert")
     dataset = _canonical(dataset, where)
     _check_time_and_odometry(dataset, where)
-    if not any(name in dataset for name in READINGS):
-        fail(where, f"expected at least one of {', '.join(READINGS)}, got none: add what the sensors measured")
-    _check_ranges(dataset, where)
-    _check_landmarks(dataset, where)
+    names = readings()
+    if not any(name in dataset for name in names):
+        fail(where, f"expected at least one of {', '.join(names)}, got none: add what the sensors measured")
+    for sensor in registered(SENSORS).values():
+        sensor.check(dataset, where)
     walls = _checked_walls(dataset, where)
     _check_start(dataset, walls, where)
     _check_reference(dataset, where)
@@ -79,10 +81,11 @@ def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
         given = [str(label) for label in dataset[dim].values] if dim in dataset.coords else []
         if given != list(labels) and sorted(given) == sorted(labels):
             dataset = dataset.isel({dim: [given.index(label) for label in labels]})
+    known = variables()
     for name in ("time", "odometry"):
         if name not in dataset.variables:
-            fail(where, f"expected variable '{name}' ({', '.join(VARIABLES[name].dims)}), got none: add it")
-    for name, variable in VARIABLES.items():
+            fail(where, f"expected variable '{name}' ({', '.join(known[name].dims)}), got none: add it")
+    for name, variable in known.items():
         if name not in dataset.variables:
             continue
         found = dataset[name]
@@ -129,73 +132,14 @@ def _check_time_and_odometry(dataset: xr.Dataset, where: str) -> None:
         )
 
 
-def _check_ranges(dataset: xr.Dataset, where: str) -> None:
-    if "range" not in dataset:
-        return
-    if "beam_pose" not in dataset:
-        fail(where, "expected variable 'beam_pose' (beam, pose) beside 'range', got none: say where each beam sits")
-    _require_finite(dataset, "beam_pose", where)
-    _check_beam_yaws(dataset["beam_pose"].values[:, 2], where)
-    # The attribute belongs to the readings; on the file as a whole it says the same.
-    stated = dataset["range"].attrs.get("max_range", dataset.attrs.get("max_range"))
-    max_range = _positive(stated)
-    if max_range is None:
-        got = "none" if stated is None else repr(stated)
-        fail(where, f"expected attribute max_range > 0 [m] on 'range', got {got}: set the longest range of the sensor")
-    dataset["range"].attrs["max_range"] = max_range
-    _require_not_negative(dataset, "range", "beam", where)
 
 
-def _check_landmarks(dataset: xr.Dataset, where: str) -> None:
-    readings = [name for name in LANDMARK_READINGS if name in dataset]
-    if "landmark_position" in dataset:
-        try:
-            LandmarkMap(dataset["landmark_position"].values, landmark_names(dataset))
-        except MapError as problem:
-            raise MapError(f"{where}, 'landmark_position': {problem}") from None
-    elif readings:
-        fail(
-            where,
-            f"expected variable 'landmark_position' (landmark, xy) beside '{readings[0]}', got none: add the map",
-        )
-    for name in readings:
-        if name != "landmark_bearing":
-            _require_not_negative(dataset, name, "landmark", where)
-    for name in (*readings, *(["landmark_time_offset"] if "landmark_time_offset" in dataset else [])):
-        bad = np.argwhere(np.isinf(dataset[name].values))
-        if len(bad):
-            row, j = (int(i) for i in bad[0])
-            fail(
-                where,
-                f"expected '{name}' finite or NaN (not seen), got {dataset[name].values[row, j]} in row {row} "
-                f"(time {dataset['time'].values[row]:.9g} s), landmark {j}: write NaN there",
-            )
-    if "landmark_bearing" in dataset:
-        _check_bearings(dataset, where)
-    if "landmark_size" in dataset and "size_at_one_metre" in dataset["landmark_size"].attrs:
-        stated = dataset["landmark_size"].attrs["size_at_one_metre"]
-        size = _positive(stated)
-        if size is None:
-            fail(
-                where,
-                f"expected attribute size_at_one_metre > 0 [pixel] on 'landmark_size', got {stated!r}: correct it",
-            )
-        dataset["landmark_size"].attrs["size_at_one_metre"] = size
-    if "landmark_sensor_pose" in dataset:
-        _require_finite(dataset, "landmark_sensor_pose", where)
 
 
-def _check_beam_yaws(yaws: Float, where: str) -> None:
-    bad = np.flatnonzero(np.abs(yaws) > _ONE_TURN)
-    if bad.size:
-        k = int(bad[0])
-        indices = any(np.array_equal(yaws, np.arange(len(yaws)) + first) for first in (0, 1))
-        advice = "these seem to be the beams' numbers; give directions" if indices else "convert degrees to radians"
-        fail(where, f"expected beam yaws within one turn (+-2 pi rad), got {yaws[k]:g} for beam {k}: {advice}")
 
 
 def _check_bearings(dataset: xr.Dataset, where: str) -> None:
-    bad = np.argwhere(np.abs(dataset["landmark_bearing"].values) > _ONE_TURN)
+    bad = np.argwhere(np.abs(dataset["landmark_bearing"].values) > ONE_TURN)
     if len(bad):
         row, j = (int(i) for i in bad[0])
         fail(
@@ -206,9 +150,6 @@ def _check_bearings(dataset: xr.Dataset, where: str) -> None:
         )
 
 
-def landmark_names(dataset: xr.Dataset) -> tuple[str, ...]:
-    """Names of the landmarks: the labels of their dimension, or nothing when it has none."""
-    return tuple(str(label) for label in dataset["landmark"].values) if "landmark" in dataset.coords else ()
 
 
 def _checked_walls(dataset: xr.Dataset, where: str) -> WallMap | None:
@@ -249,7 +190,7 @@ def _check_reference(dataset: xr.Dataset, where: str) -> None:
         fail(where, f"expected attribute true_theta as JSON object of numbers, got {text!r:.80}: correct or remove it")
 
 
-def _positive(stated: ArrayLike | None) -> float | None:
+def positive_number(stated: ArrayLike | None) -> float | None:
     """Return the one positive, finite number that an attribute states; None when it states anything else."""
     try:
         numbers = as_numbers(stated).ravel()
@@ -258,21 +199,62 @@ def _positive(stated: ArrayLike | None) -> float | None:
     return float(numbers[0]) if numbers.size == 1 and 0.0 < numbers[0] < math.inf else None
 
 
-def _require_finite(dataset: xr.Dataset, name: str, where: str) -> None:
+def require_finite(dataset: xr.Dataset, name: str, where: str) -> None:
     values = dataset[name].values
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         at = tuple(int(i) for i in bad[0])
         index = ", ".join(str(i) for i in at)
-        fail(where, f"expected finite '{name}' [{VARIABLES[name].units}], got {values[at]} at [{index}]: correct it")
+        fail(where, f"expected finite '{name}' [{variables()[name].units}], got {values[at]} at [{index}]: correct it")
 
 
-def _require_not_negative(dataset: xr.Dataset, name: str, column: str, where: str) -> None:
-    bad = np.argwhere(dataset[name].values < 0.0)
+def check_readings(
+    dataset: xr.Dataset, declared: Mapping[str, Variable], where: str, also_finite: Sequence[str] = ()
+) -> None:
+    """Check readings against what their variables declare: the smallest possible one, and whether inf has a meaning.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A log.
+    declared : mapping of str to Variable
+        A sensor's variables; only those that hold readings are looked at.
+    where : str
+        File or call, for messages.
+    also_finite : sequence of str
+        Further variables (time, ...) that must be finite where they are not NaN.
+
+    Raises
+    ------
+    LogError
+        With variable, row and place of the first impossible reading.
+    """
+    held = [name for name, variable in declared.items() if variable.is_reading and name in dataset]
+    for name in held:
+        least = declared[name].minimum
+        if least is not None:
+            _require_at_least(dataset, name, least, declared[name], where)
+    for name in (*(name for name in held if not declared[name].may_be_infinite), *also_finite):
+        bad = np.argwhere(np.isinf(dataset[name].values)) if name in dataset else []
+        if len(bad):
+            place, value = _place(dataset, name, bad[0])
+            fail(where, f"expected '{name}' finite or NaN (not seen), got {value} in {place}: write NaN there")
+
+
+def _require_at_least(dataset: xr.Dataset, name: str, least: float, variable: Variable, where: str) -> None:
+    bad = np.argwhere(dataset[name].values < least)
     if len(bad):
-        row, k = (int(i) for i in bad[0])
+        place, value = _place(dataset, name, bad[0])
         fail(
             where,
-            f"expected '{name}' >= 0 [{VARIABLES[name].units}], got {dataset[name].values[row, k]:g} in row {row} "
-            f"(time {dataset['time'].values[row]:.9g} s), {column} {k}: write NaN where nothing was measured",
+            f"expected '{name}' >= {least:g} [{variable.units}], got {value:g} in {place}: "
+            "write NaN where nothing was measured",
         )
+
+
+def _place(dataset: xr.Dataset, name: str, index: NDArray[np.int64]) -> tuple[str, float]:
+    """Return where a reading stands, in words, and the reading."""
+    row, *others = (int(i) for i in index)
+    words = [f"row {row} (time {dataset['time'].values[row]:.9g} s)"]
+    words += [f"{dim} {i}" for dim, i in zip(dataset[name].dims[1:], others, strict=True)]
+    return ", ".join(words), float(dataset[name].values[tuple(index)])

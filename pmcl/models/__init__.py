@@ -12,11 +12,12 @@ from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
     from pmcl.models.model_file import read_model
-    from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
+    from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise
     from pmcl.models.parameters import Parameter
     from pmcl.models.robot_model import RobotModel, default_model
-    from pmcl.models.sensors import LandmarkNoise, RangeNoise
-    from pmcl.models.start import StartBelief
+    from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+    from pmcl.models.sensors.range_beams.sensor import RangeNoise
+    from pmcl.models.starts.belief import StartBelief
 
 __all__ = [
     "GrowingIncrementNoise",
@@ -31,13 +32,13 @@ __all__ = [
 ]
 
 _HOMES = {
-    "GrowingIncrementNoise": "pmcl.models.motion",
-    "IncrementNoise": "pmcl.models.motion",
-    "LandmarkNoise": "pmcl.models.sensors",
+    "GrowingIncrementNoise": "pmcl.models.motions.increments.motion",
+    "IncrementNoise": "pmcl.models.motions.increments.motion",
+    "LandmarkNoise": "pmcl.models.sensors.landmarks.sensor",
     "Parameter": "pmcl.models.parameters",
-    "RangeNoise": "pmcl.models.sensors",
+    "RangeNoise": "pmcl.models.sensors.range_beams.sensor",
     "RobotModel": "pmcl.models.robot_model",
-    "StartBelief": "pmcl.models.start",
+    "StartBelief": "pmcl.models.starts.belief",
     "default_model": "pmcl.models.robot_model",
     "read_model": "pmcl.models.model_file",
 }

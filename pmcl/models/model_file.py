@@ -19,6 +19,7 @@ Effects are tables: those of the catalogue by name and place, formulas by carrie
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -31,19 +32,19 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.effects.formula import FORMULA_CARRIERS, PREFIX, Formula, formula_effect
 from pmcl.models.effects.selection import effect_named
-from pmcl.models.model_text import MOTIONS, model_text
-from pmcl.models.parts import Part
+from pmcl.models.model_text import model_text
+from pmcl.models.motion import motions
+from pmcl.models.part import Part
 from pmcl.models.prior_file import prior_from_table
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.models.sensors import LandmarkNoise, RangeNoise
-from pmcl.models.start import StartBelief
+from pmcl.models.sensor import Sensor
+from pmcl.models.sensor import sensors as registered_sensors
+from pmcl.models.starts.belief import StartBelief
 
 __all__ = ["model_of_text", "model_text", "read_model"]
 
 _ANYWHERE = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
-_SENSORS = ("range", "landmarks")
 _FORMULA = "formula"
-_LANDMARK_FLAGS = ("range", "bearing", "size", "outliers")
 
 
 def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
@@ -78,7 +79,7 @@ def model_of_text(text: str, log: RobotLog, where: str = "model") -> RobotModel:
 def _model(where: str, content: dict[str, Any], log: RobotLog) -> RobotModel:
     _known_keys(where, "", content, ("motion", "start", "sensors", "effects", "priors", "fixed"))
     usual = default_model(log)
-    motion = MOTIONS[_choice(where, "motion", content.get("motion", "increment"), MOTIONS)]()
+    motion = motions()[_choice(where, "motion", content.get("motion", "increment"), motions())]()
     sensors = _sensors(where, content["sensors"], log) if "sensors" in content else usual.sensors
     start = _start(where, content.get("start", "log"))
     effects = _effects(where, content.get("effects", []), log)
@@ -182,27 +183,39 @@ def _start(where: str, given: Any) -> StartBelief:
 
 
 def _sensors(where: str, given: Any, log: RobotLog) -> tuple[Part, ...]:
+    known = registered_sensors()
+    tables = " or ".join(f"[sensors.{name}]" for name in known)
     if not isinstance(given, dict):
-        _fail(where, "sensors", f"expected a table, but got {given!r}; write [sensors.range] or [sensors.landmarks]")
-    _known_keys(where, "sensors", given, _SENSORS)
+        _fail(where, "sensors", f"expected a table, but got {given!r}; write {tables}")
+    _known_keys(where, "sensors", given, known)
     if not given:
         _fail(
             where,
             "sensors",
-            "expected a table [sensors.range] or [sensors.landmarks], but got none; add one, or leave [sensors] out",
+            f"expected a table {tables}, but got none; add one, or leave [sensors] out",
         )
-    made: list[Part] = []
-    for name in _SENSORS:
-        if name not in given:
-            continue
-        settings = _table(where, name, given)
-        key = f"sensors.{name}"
-        if name == "range":
-            _known_keys(where, key, settings, ("outliers",))
-            made.append(RangeNoise(_flag(where, f"{key}.outliers", settings.get("outliers", False))))
+    return tuple(_sensor(where, name, kind, given, log) for name, kind in known.items() if name in given)
+
+
+def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], log: RobotLog) -> Sensor:
+    """Read the settings of a sensor: booleans, and numbers above zero, for the fields of its class."""
+    settings, key = _table(where, name, given), f"sensors.{name}"
+    fields = {field.name: field for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+    _known_keys(where, key, settings, fields)
+    usual = kind.default(log)
+    values: dict[str, Any] = {}
+    for setting, field in fields.items():
+        value = settings.get(setting, getattr(usual, setting) if usual is not None else field.default)
+        if isinstance(field.default, bool):
+            values[setting] = _flag(where, f"{key}.{setting}", value)
+        elif value is None:
+            values[setting] = None
         else:
-            made.append(_landmarks(where, key, settings, log))
-    return tuple(made)
+            values[setting] = _number(where, f"{key}.{setting}", value)
+            if values[setting] <= 0.0:
+                unit = field.metadata.get("comment", "a number")
+                _fail(where, f"{key}.{setting}", f"expected {unit} > 0, but got {values[setting]:g}; correct it")
+    return kind(**values)
 
 
 def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
@@ -262,16 +275,3 @@ def _texts(where: str, key: str, value: Any, example: str) -> tuple[str, ...]:
     if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
         _fail(where, key, f'expected a list of texts, but got {value!r}; write for example ["{example}"]')
     return tuple(value)
-
-
-def _landmarks(where: str, key: str, settings: dict[str, Any], log: RobotLog) -> LandmarkNoise:
-    _known_keys(where, key, settings, (*_LANDMARK_FLAGS, "size_at_one_metre"))
-    held = (log.landmark_range, log.landmark_bearing, log.landmark_size)
-    usual = {**dict(zip(_LANDMARK_FLAGS, (values is not None for values in held), strict=False)), "outliers": False}
-    flags = {name: _flag(where, f"{key}.{name}", settings.get(name, usual[name])) for name in _LANDMARK_FLAGS}
-    size = settings.get("size_at_one_metre")
-    if size is not None:
-        size = _number(where, f"{key}.size_at_one_metre", size)
-        if size <= 0.0:
-            _fail(where, f"{key}.size_at_one_metre", f"expected pixels > 0, but got {size:g}; correct it")
-    return LandmarkNoise(**flags, size_at_one_metre=size)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
 from typing import NoReturn
 
 import numpy as np
@@ -14,20 +14,14 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import FORMULA_CARRIERS, Formula
 from pmcl.models.effects.registry import known_effects
-from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
-from pmcl.models.parts import Part
+from pmcl.models.motion import motions
+from pmcl.models.part import Part
 from pmcl.models.prior_file import prior_to_table
 from pmcl.models.robot_model import RobotModel
-from pmcl.models.sensors import LandmarkNoise, RangeNoise
-from pmcl.models.start import StartBelief
+from pmcl.models.sensor import sensors
+from pmcl.models.starts.belief import StartBelief
 
-__all__ = ["MOTIONS", "model_text"]
-
-MOTIONS: Mapping[str, type[IncrementNoise] | type[GrowingIncrementNoise]] = {
-    "increment": IncrementNoise,
-    "growing": GrowingIncrementNoise,
-}
-"""Motion models by the name that model files have for them."""
+__all__ = ["model_text"]
 
 
 def model_text(model: RobotModel, log: RobotLog) -> str:
@@ -56,16 +50,16 @@ def model_text(model: RobotModel, log: RobotLog) -> str:
     document.add(tomlkit.comment(f"pmcl model for {log.robot or 'the robot'} of {log.where}"))
     document.add(tomlkit.comment("SI units: metres, radians, seconds. Keys that are left out follow the log."))
     document.add(tomlkit.nl())
-    document.add(tomlkit.comment("increment: the noise of each odometry increment has constant standard deviations"))
-    document.add(tomlkit.comment("growing:   they grow with the distance and the turn of the increment"))
+    for name, kind in motions().items():
+        document.add(tomlkit.comment(f"{name + ':':<10} {getattr(kind, 'summary', '')}".rstrip()))
     document["motion"] = _motion_name(model.motion)
     document.add(tomlkit.nl())
     _add_start(document, model.start)
-    sensors = tomlkit.table(is_super_table=True)
+    tables = tomlkit.table(is_super_table=True)
     for part in model.sensors:
         name, table = _sensor(part)
-        sensors[name] = table
-    document["sensors"] = sensors
+        tables[name] = table
+    document["sensors"] = tables
     _add_effects(document, model)
     _add_priors(document, model)
     _add_fixed(document, model)
@@ -73,7 +67,7 @@ def model_text(model: RobotModel, log: RobotLog) -> str:
 
 
 def _motion_name(motion: Part) -> str:
-    for name, kind in MOTIONS.items():
+    for name, kind in motions().items():
         if type(motion) is kind and motion.parameters == kind().parameters:
             return name
     _refuse(motion)
@@ -109,20 +103,19 @@ def _add_commented(document: tomlkit.TOMLDocument, key: str, value: str, comment
 
 
 def _sensor(part: Part) -> tuple[str, Table]:
-    table = tomlkit.table()
-    if type(part) is RangeNoise:
-        table.comment("range beams against the walls")
-        table["outliers"] = tomlkit.item(part.outliers).comment("whether readings may be gross errors")
-        return "range", table
-    if type(part) is not LandmarkNoise:
+    for name, kind in sensors().items():
+        if type(part) is kind:
+            break
+    else:
         _refuse(part)
-    table.comment("sightings of known landmarks: which readings to use")
-    for name in ("range", "bearing", "size"):
-        table[name] = getattr(part, name)
-    table["outliers"] = tomlkit.item(part.outliers).comment("whether sightings may be gross errors")
-    if part.size_at_one_metre is not None:
-        table["size_at_one_metre"] = tomlkit.item(float(part.size_at_one_metre)).comment("pixels")
-    return "landmarks", table
+    table = tomlkit.table()
+    table.comment(kind.summary)
+    for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
+        value = getattr(part, field.name)
+        if value is not None:
+            item = tomlkit.item(value if isinstance(value, bool) else float(value))
+            table[field.name] = item.comment(field.metadata["comment"]) if "comment" in field.metadata else item
+    return name, table
 
 
 def _add_effects(document: tomlkit.TOMLDocument, model: RobotModel) -> None:

@@ -14,13 +14,12 @@ from pmcl.checks import check_flag, check_number, check_type
 from pmcl.errors import LogError, ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
-from pmcl.models.motion import IncrementNoise
+from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.parameters import Parameter, PriorTable, log_prior_function, prior_support, prior_table
-from pmcl.models.parts import BoundPart, Float, Int, Part
-from pmcl.models.rich_tables import uniform
-from pmcl.models.sensors import LandmarkNoise, RangeNoise
-from pmcl.models.start import StartBelief
-from pmcl.models.tables import Tables
+from pmcl.models.part import BoundPart, Float, Int, Part
+from pmcl.models.sensor import sensors as registered_sensors
+from pmcl.models.starts.belief import StartBelief
+from pmcl.models.tables import Tables, uniform
 
 __all__ = ["BoundModel", "RobotModel", "default_model", "log_sequence"]
 
@@ -32,9 +31,9 @@ class RobotModel:
     Attributes
     ----------
     motion : Part
-        E.g. :class:`~pmcl.models.motion.IncrementNoise`.
+        E.g. :class:`~pmcl.models.motions.increments.motion.IncrementNoise`.
     sensors : tuple of Part
-        E.g. :class:`~pmcl.models.sensors.RangeNoise`; readings of different sensors are independent given the path.
+        E.g. :class:`~pmcl.models.sensors.range_beams.sensor.RangeNoise`; readings of different sensors are independent given the path.
     start : Part
         Belief about the first state.
     priors : mapping of str to scipy.stats frozen distribution
@@ -338,10 +337,5 @@ def default_model(log: RobotLog, *, outliers: bool = False) -> RobotModel:
     """
     check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     check_flag("outliers", outliers, error=ModelError)
-    sensors: list[Part] = []
-    if log.ranges is not None:
-        sensors.append(RangeNoise(outliers=outliers))
-    has = [values is not None for values in (log.landmark_range, log.landmark_bearing, log.landmark_size)]
-    if any(has):
-        sensors.append(LandmarkNoise(range=has[0], bearing=has[1], size=has[2], outliers=outliers))
-    return RobotModel(sensors=tuple(sensors))
+    usual = (sensor.default(log, outliers=outliers) for sensor in registered_sensors().values())
+    return RobotModel(sensors=tuple(sensor for sensor in usual if sensor is not None))

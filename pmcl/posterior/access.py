@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.errors import PosteriorError
-from pmcl.logs.schema import LANDMARK_READINGS, READINGS
+from pmcl.models.sensor import sensors
 from pmcl.posterior.compat import Posterior, find_group
 
 __all__ = [
@@ -214,10 +214,12 @@ def log_contents(data: Posterior) -> tuple[LogContents, ...]:
     contents = []
     for suffix in _endings(given, "odometry"):
         seen: set[tuple[str, float, object]] = set()
-        for kind in READINGS:
-            if (name := f"{kind}{suffix}") in observed:
-                of_landmarks = "landmark" if kind in LANDMARK_READINGS else kind
-                seen |= {(of_landmarks, *where) for where in _measured_places(observed[name], kind, suffix)}
+        for sensor_name, sensor in sensors().items():
+            for kind in sensor.readings():
+                if (name := f"{kind}{suffix}") in observed:
+                    channel = sensor.variables[kind].dims[1:]
+                    # Kinds of one sensor that are read at the same place, such as distance and bearing, count once.
+                    seen |= {(sensor_name, *place) for place in _measured_places(observed[name], kind, channel, suffix)}
         times = np.asarray(given[f"time{suffix}"].values, dtype=np.float64)
         contents.append(LogContents(times, len(seen)))
     return tuple(contents)
@@ -227,13 +229,14 @@ def _is_odometry(name: object) -> bool:
     return str(name).startswith("odometry")
 
 
-def _measured_places(readings: xr.DataArray, kind: str, suffix: str) -> list[tuple[float, object]]:
-    """Give time and channel of each reading that was measured."""
+def _measured_places(
+    readings: xr.DataArray, kind: str, channel: tuple[str, ...], suffix: str
+) -> list[tuple[float, object]]:
+    """Give time and channel of each reading that was measured; `channel` names the dimensions beside time."""
     if readings.ndim == 2:
         row, column = np.nonzero(~np.isnan(readings.values))
         return list(zip(readings[readings.dims[0]].values[row].tolist(), column.tolist(), strict=True))
-    channel = "landmark" if kind in LANDMARK_READINGS else "beam"
-    places = (readings[f"{kind}_{name}{suffix}"].values.tolist() for name in ("time", channel))
+    places = (readings[f"{kind}_{name}{suffix}"].values.tolist() for name in ("time", *channel))
     return list(zip(*places, strict=True))
 
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import xarray as xr
 
-from pmcl.logs.schema import READINGS, VARIABLES
+from pmcl.logs.schema import readings, variables
 
 __all__ = ["LogLike", "agreed_truth", "log_groups", "reading_kinds", "suffixes_for"]
 
@@ -63,7 +63,7 @@ def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    return tuple(kind for kind in READINGS if kind in dataset)
+    return tuple(kind for kind in readings() if kind in dataset)
 
 
 def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
@@ -94,8 +94,8 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         # The name of its file alone: the folder is nobody else's business.
         if name := Path(getattr(log, "where", "")).name:
             attrs[f"log{suffix}"] = name
-        readings = [_measured(dataset[kind], suffix) for kind in kinds]
-        observed.append(xr.Dataset({one.name: one for one in readings}, attrs=attrs))
+        measured = [_measured(dataset[kind], suffix) for kind in kinds]
+        observed.append(xr.Dataset({each.name: each for each in measured}, attrs=attrs))
         constant.append(_numbered(dataset.drop_vars(kinds), suffix))
     truth = {f"true_{name}": np.float64(value) for name, value in agreed_truth(logs).items()}
     return _merged(observed), _merged(constant).assign(truth)
@@ -103,17 +103,16 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
 
 def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
     """Give the readings of one kind that were measured, as one row."""
-    row, column = np.nonzero(~np.isnan(values.values))
-    kind, channel = str(values.name), str(values.dims[1])
+    row, *columns = np.nonzero(~np.isnan(values.values))
+    kind, channels = str(values.name), [str(dim) for dim in values.dims[1:]]
     dims = (f"{kind}_reading{suffix}",)
-    numbers = values.coords[channel].values if channel in values.coords else np.arange(values.shape[1])
-    readings = np.minimum(values.values[row, column], float(values.attrs.get("max_range", np.inf)))
-    coords = {
-        f"{kind}_time{suffix}": (dims, values["time"].values[row], {"units": "s", "long_name": "time"}),
-        f"{kind}_{channel}{suffix}": (dims, numbers[column], {"units": "1", "long_name": channel}),
-    }
-    attrs = {**values.attrs, "units": VARIABLES[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
-    return xr.DataArray(readings, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
+    found = np.minimum(values.values[row, *columns], float(values.attrs.get("max_range", np.inf)))
+    coords = {f"{kind}_time{suffix}": (dims, values["time"].values[row], {"units": "s", "long_name": "time"})}
+    for channel, column in zip(channels, columns, strict=True):
+        numbers = values.coords[channel].values if channel in values.coords else np.arange(values.sizes[channel])
+        coords[f"{kind}_{channel}{suffix}"] = (dims, numbers[column], {"units": "1", "long_name": channel})
+    attrs = {**values.attrs, "units": variables()[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
+    return xr.DataArray(found, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
 
 
 def agreed_truth(logs: Sequence[LogLike]) -> dict[str, float]:

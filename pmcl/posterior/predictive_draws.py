@@ -18,12 +18,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings, reading_index
+from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel
+from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 from pmcl.posterior.log_groups import reading_kinds, suffixes_for
-from pmcl.robots.simulate import simulate_readings
 
 __all__ = ["predictive_groups"]
 
@@ -172,7 +172,8 @@ def _replicated(log: RobotLog, tables: Tables, made: Predictions, rng: np.random
         later = rows[1:][rows[1:] % 2 == parity]
         path[later - 1] = before[later - 1]
         for sensor in tables.sensors:
-            index = reading_index(simulate_readings(sensor, path, rng), rows.size)
+            kind = sensor_of(sensor)
+            index = kind.index(kind.simulate(sensor, path, rng), rows.size)
             for number, kind in enumerate(index.kinds):
                 if kind in kinds:
                     mine = (index.kind == number) & (index.time % 2 == parity)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from pmcl.filtering.kernels.rays import cast_rays
 from pmcl.logs.arrays import LogArrays
+from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
 from pmcl.preflight.hypotheses import Hypothesis
 from pmcl.preflight.stretch import RowReadings
 

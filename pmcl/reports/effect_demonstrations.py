@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.predict import ideal_readings
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import MAGNITUDES, Effect
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensor import sensor_of
 from pmcl.robots.aibo import simulate_aibo
 from pmcl.robots.amigobot import AMIGOBOT_BEAMS, AMIGOBOT_ROOM, simulate_amigobot
 from pmcl.robots.effects import Affected
 from pmcl.robots.landmark_field import simulate_landmark_field
-from pmcl.robots.simulate import make_rng, simulate_path, simulate_readings
+from pmcl.robots.simulate import make_rng, simulate_path
 
 __all__ = ["Demonstration", "Simulated", "demonstrate"]
 
@@ -177,13 +177,13 @@ def _sense(log: RobotLog, effect: Effect, values: Float, quiet: bool) -> Simulat
     assert path is not None
     table = _model(log, (effect,), (values,), quiet).tables(log).sensors[0]
     described = _model(log, (), (), quiet).tables(log).sensors[0]
-    drawn = simulate_readings(table, path, make_rng(_SEED))
+    drawn = sensor_of(table).simulate(table, path, make_rng(_SEED))
     return (_beams if log.ranges is not None else _sightings)(log, described, drawn, path)
 
 
 def _beams(log: RobotLog, described: Any, drawn: Any, path: Float) -> Simulated:
     shape = drawn.reading.shape
-    length = ideal_readings(described, path)
+    length = sensor_of(described).ideal_readings(described, path)
     time = np.broadcast_to(log.times[:, None], shape)
     beam = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
     columns = {
@@ -200,7 +200,7 @@ def _beams(log: RobotLog, described: Any, drawn: Any, path: Float) -> Simulated:
 
 
 def _sightings(log: RobotLog, described: Any, drawn: Any, path: Float) -> Simulated:
-    distance, bearing = ideal_readings(described, path).T
+    distance, bearing = sensor_of(described).ideal_readings(described, path).T
     pose = path[drawn.time]
     columns = {
         "time": log.times[drawn.time],

@@ -12,8 +12,8 @@ from pmcl import defaults
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.landmarks import LandmarkMap
-from pmcl.models.motion import IncrementNoise
-from pmcl.models.sensors import LandmarkNoise
+from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.robots.driving import WaypointDriver, drive
 from pmcl.robots.effects import Affected, Given, affected_by, check_given
 from pmcl.robots.sightings import draw_sightings

@@ -14,11 +14,12 @@ from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.arrays import as_numbers
 from pmcl.maps.walls import WallMap
-from pmcl.models.motion import IncrementNoise
-from pmcl.models.sensors import RangeNoise
+from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
+from pmcl.models.sensors.range_beams.simulation import simulate
 from pmcl.robots.driving import WaypointDriver, drive
 from pmcl.robots.effects import Affected, Given, affected_by, check_given
-from pmcl.robots.simulate import check_run, draw_theta, make_rng, simulate_readings
+from pmcl.robots.simulate import check_run, draw_theta, make_rng
 
 __all__ = ["AMIGOBOT_BEAMS", "AMIGOBOT_ROOM", "simulate_amigobot"]
 
@@ -141,7 +142,7 @@ def simulate_amigobot(
     if affected.moves_differently:
         path, command = affected.drive(empty, start, _driver(points), rng)
         empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
-    return logged(simulate_readings(affected.tables(empty).sensors[0], path, rng).reading, affected)
+    return logged(simulate(affected.tables(empty).sensors[0], path, rng).reading, affected)
 
 
 def _points(waypoints: ArrayLike | None, room: WallMap | None, where: str) -> NDArray[np.float64]:

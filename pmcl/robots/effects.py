@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.checks import check_flag, check_type
+from pmcl.engine import contract
 from pmcl.errors import ModelError
-from pmcl.filtering.kernels import contract
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.arrays import as_numbers
 from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.effects.selection import check_values, parse_effect
-from pmcl.models.parts import Part
-from pmcl.models.start import StartBelief
+from pmcl.models.part import Part
+from pmcl.models.starts.belief import StartBelief
 from pmcl.models.tables import Tables
 from pmcl.robots.simulate import make_rng
 

@@ -9,9 +9,9 @@ import numpy as np
 from pmcl.errors import ModelError
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.motion import IncrementNoise
+from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.parameters import Parameter
-from pmcl.models.sensors import LandmarkNoise
+from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.robots.driving import WaypointDriver, drive
 from pmcl.robots.effects import Affected, Given, affected_by
 from pmcl.robots.sightings import draw_sightings

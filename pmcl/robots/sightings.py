@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.robots.simulate import simulate_readings
+from pmcl.models.sensors.landmarks.simulation import simulate
 
 __all__ = ["draw_sightings"]
 
@@ -35,7 +35,7 @@ def draw_sightings(table: Any, log: RobotLog, path: Float, rng: np.random.Genera
         For each of ``range`` [m], ``bearing`` [rad] and ``size`` [pixel] that is read; NaN where the landmark was not
         seen.
     """
-    drawn = simulate_readings(table, path, rng)
+    drawn = simulate(table, path, rng)
     assert log.landmarks is not None
     shape = (log.n_steps, len(log.landmarks.positions))
     readings = {}

@@ -8,26 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.checks import check_memory, check_number, check_seed, check_type
-from pmcl.errors import ModelError, did_you_mean
 
 # The particle filter's module also registers the kernels of the built-in tables with the contract.
-from pmcl.filtering.kernels import contract
+from pmcl.engine import contract
+from pmcl.errors import ModelError, did_you_mean
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predict import ideal_readings
-from pmcl.geometry import wrap
+from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.parameters import Parameter, prior_support
-from pmcl.models.rich_tables import RichLandmarks, RichRangeBeams
-from pmcl.models.tables import IncrementMotion, LandmarkSightings, RangeBeams
-from pmcl.robots.rich_readings import draw_range_readings, draw_sighting_readings
+from pmcl.models.tables import has_extras
 
-__all__ = ["check_run", "draw_theta", "make_rng", "simulate_path", "simulate_readings"]
+__all__ = ["check_run", "draw_theta", "make_rng", "simulate_path"]
 
 Float = NDArray[np.float64]
 
@@ -131,7 +127,7 @@ def simulate_path(motion: Any, start: Any, rng: np.random.Generator) -> Float:
     first = np.empty((size, 1))
     contract.draw_start(start, rng, first)
     path[0] = first[:, 0]
-    if not isinstance(motion, IncrementMotion):
+    if not isinstance(motion, IncrementMotion) or has_extras(motion):
         return _propagated(motion, path, rng)
     increment = motion.mean[1:] + motion.std[1:] * rng.standard_normal((n_steps - 1, 3))
     path[1:, 2] = path[0, 2] + np.cumsum(increment[:, 2])
@@ -149,80 +145,3 @@ def _propagated(motion: Any, path: Float, rng: np.random.Generator) -> Float:
         contract.propagate(motion, t, rng, path[t - 1][:, None].copy(), current, scratch)
         path[t] = current[:, 0]
     return path
-
-
-@singledispatch
-def simulate_readings(table: Any, path: Float, rng: np.random.Generator) -> Any:
-    """Draw readings along a path; what was not measured stays missing.
-
-    Parameters
-    ----------
-    table : NamedTuple
-        A sensor table; its readings say only what was measured when (NaN: nothing), and are replaced.
-    path : ndarray, shape (T, D)
-        States for all rows of the table.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    NamedTuple
-        The table with new readings.
-
-    Raises
-    ------
-    ModelError
-        For a table type that has registered no implementation.
-
-    Notes
-    -----
-    Cost: O(readings), plus the walls for each ray. A type of one's own registers a function with
-    ``@simulate_readings.register``.
-    """
-    raise ModelError(
-        f"expected a sensor table that can be simulated, but got {type(table).__name__}; "
-        "register a function for it with simulate_readings.register"
-    )
-
-
-@simulate_readings.register
-def _(table: RangeBeams, path: Float, rng: np.random.Generator) -> RangeBeams:
-    shape = table.reading.shape
-    # A ray that meets nothing is infinitely long; the density puts it at twice the longest reading.
-    expected = np.minimum(table.scale * ideal_readings(table, path) + table.bias, 2.0 * table.max_range)
-    reading = np.clip(expected + table.std * rng.standard_normal(shape), 0.0, table.max_range)
-    gross = rng.random(shape) < table.outlier_weight
-    reading = np.where(gross, table.max_range * rng.random(shape), reading)
-    return table._replace(reading=np.where(np.isnan(table.reading), np.nan, reading))
-
-
-@simulate_readings.register
-def _(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> LandmarkSightings:
-    # A bearing is wrapped, while the density is a Gaussian of the wrapped residual: the same but for what a Gaussian
-    # has beyond half a turn, 2e-7 at a noise of 0.6 rad.
-    which, n = table.landmark, table.landmark.size
-    distance, bearing = np.ascontiguousarray(ideal_readings(table, path).T)
-    noise = rng.standard_normal((3, n))
-    ideal_size = table.size_constant[which] / distance**2
-    plain = (
-        table.range_scale[which] * distance + table.range_bias[which] + table.range_std[which] * noise[0],
-        wrap(bearing + table.bearing_bias[which] + table.bearing_std[which] * noise[1]),
-        ideal_size * (1.0 + table.size_std[which] * noise[2]),
-    )
-    anything = (
-        table.max_range * rng.random(n),
-        np.pi * (2.0 * rng.random(n) - 1.0),
-        table.size_constant[which] * rng.random(n),
-    )
-    # One coin for the whole sighting: a wrong identity spoils distance, bearing and size together.
-    gross = rng.random(n) < table.outlier_weight[which]
-    measured = [~np.isnan(values) for values in (table.range, table.bearing, table.size)]
-    new = [
-        np.where(seen, np.where(gross, wild, sound), np.nan)
-        for seen, wild, sound in zip(measured, anything, plain, strict=True)
-    ]
-    return table._replace(range=new[0], bearing=new[1], size=new[2])
-
-
-simulate_readings.register(RichRangeBeams, draw_range_readings)
-simulate_readings.register(RichLandmarks, draw_sighting_readings)

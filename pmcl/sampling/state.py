@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.kernels.contract import state_size
+from pmcl.engine.contract import state_size
 from pmcl.models.robot_model import BoundModel
 
 __all__ = ["ChainState", "blob_dtype", "from_blob", "into_blob", "state_dimension"]

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from pmcl.filtering.kernels.linear import factorise, refresh_blocks, transport_trial
-from pmcl.filtering.predict import moved_geometry, reading_geometry
 from pmcl.models.robot_model import BoundModel
+from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 from pmcl.sampling.transforms import Unconstrained
 
@@ -115,7 +115,7 @@ class Transport:
             return list(self.geometries)
         return [
             tuple(
-                moved_geometry(table, made_from, geometry, reference)
+                sensor_of(table).moved_linearisation(table, made_from, geometry, reference)
                 for table, made_from, geometry in zip(tables.sensors, sensors, geometries, strict=True)
             )
             for tables, sensors, geometries, reference in zip(
@@ -133,7 +133,7 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
     geometries = []
     all_tables = bound.tables(theta)
     for tables, reference in zip(all_tables, references, strict=True):
-        made = tuple(reading_geometry(sensor, reference) for sensor in tables.sensors)
+        made = tuple(sensor_of(sensor).linearise(sensor, reference) for sensor in tables.sensors)
         if any(geometry is None for geometry in made):
             return None
         geometries.append(made)

@@ -13,7 +13,7 @@ from pmcl.filtering.kernels.smc import sensor_terms
 from pmcl.filtering.kernels.steering import steered_path
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.motion import increment_residuals
+from pmcl.models.motions.increments.motion import increment_residuals
 from pmcl.models.robot_model import default_model
 from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field

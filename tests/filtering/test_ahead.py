@@ -11,26 +11,26 @@ import numpy as np
 import pytest
 
 import pmcl
+from pmcl.engine import compile_ahead as helper
+from pmcl.engine.progress import _expected, announce_compilation, expect_compilations
 from pmcl.filtering import ahead
-from pmcl.filtering.kernels import ahead as helper
-from pmcl.filtering.kernels.progress import _expected, announce_compilation, expect_compilations
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.registry import candidates
-from pmcl.models.rich_tables import uniform
 from pmcl.models.robot_model import default_model
+from pmcl.models.tables import uniform
 from pmcl.posterior.calibrate import calibrate
 from pmcl.robots.aibo import simulate_aibo
 from pmcl.robots.amigobot import simulate_amigobot
 
 SMALL = """
 from typing import NamedTuple
-from pmcl.filtering.kernels.compile import entry
-from pmcl.filtering.kernels.contract import scratch_rows
+from pmcl.engine.compile import entry
+from pmcl.engine.contract import scratch_rows
 
 class Marked(NamedTuple):
     number: float
 
-@scratch_rows.register(Marked, allocates=False)
+@scratch_rows.register(Marked)
 def rows(table):
     return 3
 
@@ -45,7 +45,7 @@ def second(table):
 # Prints the two answers, which of them were read from disk, how many helpers were started, and what was said.
 PROGRAM = """
 import logging, sys
-from pmcl.filtering.kernels import ahead
+from pmcl.engine import compile_ahead as ahead
 import small
 
 said = []

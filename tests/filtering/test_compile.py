@@ -13,10 +13,11 @@ import pytest
 from oracles import hidden_markov
 from oracles.random_walk_model import rail_log, rail_model
 
-from pmcl.filtering.kernels import contract, disk_cache, smc
-from pmcl.filtering.kernels.disk_cache import DiskCache
-from pmcl.filtering.kernels.file_lock import FileLock
-from pmcl.filtering.kernels.vector_math import exp_into
+from pmcl.engine import contract, disk_cache
+from pmcl.engine.disk_cache import DiskCache
+from pmcl.engine.file_lock import FileLock
+from pmcl.engine.vector_math import exp_into
+from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import make_rng, sweep_path
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -25,13 +26,13 @@ PACKAGE = Path(disk_cache.__file__).resolve().parents[3]
 # A kernel of one's own, in a file of its own: its answer is VALUE, so a stale one would be seen.
 SMALL = """
 from typing import NamedTuple
-from pmcl.filtering.kernels.compile import entry
-from pmcl.filtering.kernels.contract import scratch_rows
+from pmcl.engine.compile import entry
+from pmcl.engine.contract import scratch_rows
 
 class Marked(NamedTuple):
     number: float
 
-@scratch_rows.register(Marked, allocates=False)
+@scratch_rows.register(Marked)
 def rows(table):
     return VALUE
 
@@ -41,7 +42,7 @@ def answer(table):
 """
 RUN_SMALL = """
 import sys
-from pmcl.filtering.kernels import disk_cache
+from pmcl.engine import disk_cache
 if len(sys.argv) > 1:
     disk_cache._package_hash = lambda: sys.argv[1]
 import small
@@ -51,7 +52,7 @@ print(value, sum(small.answer.stats.cache_hits.values()), sum(small.answer.stats
 RUN_INNER = """
 import small
 from numba import typeof
-from pmcl.filtering.kernels.contract import scratch_rows
+from pmcl.engine.contract import scratch_rows
 inner = scratch_rows.compiled[small.Marked]
 inner.compile((typeof(small.Marked(1.0)),))
 print(sum(inner.stats.cache_hits.values()), sum(inner.stats.cache_misses.values()))
@@ -59,7 +60,9 @@ print(sum(inner.stats.cache_hits.values()), sum(inner.stats.cache_misses.values(
 SAMPLE = """
 import numpy as np
 from pmcl.filtering.kernels import smc
-from pmcl.models.tables import GaussianStart, IncrementMotion, Tables
+from pmcl.models.motions.increments.table import IncrementMotion
+from pmcl.models.starts.table import GaussianStart
+from pmcl.models.tables import Tables
 tables = Tables(GaussianStart(np.zeros(3), np.ones(3)), IncrementMotion(np.zeros((2, 3)), np.ones((2, 3))), ())
 print("%.6f" % smc.joint_terms(tables, np.zeros((2, 3)))[0], len(smc.joint_terms.stats.cache_hits))
 """

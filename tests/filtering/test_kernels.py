@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 from oracles import densities, made_tables
+from pmcl.filtering.predict import reading_geometry
 from scipy import optimize, stats
 
-from pmcl.filtering.kernels import contract, smc  # noqa: F401  (smc imports the implementations)
-from pmcl.filtering.kernels.compile import entry
-from pmcl.filtering.kernels.ranges import log_normal_tail
-from pmcl.filtering.predict import reading_geometry
+from pmcl.engine import contract  # noqa: F401  (smc imports the implementations)
+from pmcl.engine.compile import entry
+from pmcl.engine.student import log_normal_tail
+from pmcl.filtering.kernels import smc  # noqa: F401  (smc imports the implementations)
 
 # mypy: disable-error-code="no-untyped-def"
 

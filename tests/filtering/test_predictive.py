@@ -10,8 +10,9 @@ from oracles import kalman, made_tables
 from oracles.random_walk_model import rail_log, rail_model
 from scipy import integrate, stats
 
-from pmcl.filtering.kernels import contract, smc
-from pmcl.filtering.kernels.compile import entry
+from pmcl.engine import contract
+from pmcl.engine.compile import entry
+from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import log_joint, make_rng, run_filter
 from pmcl.filtering.predictive import predict_readings
 from pmcl.models.robot_model import default_model

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.filtering.kernels import random_numbers
-from pmcl.filtering.kernels.compile import entry
-from pmcl.filtering.kernels.random_numbers import exponentials_into, normals_into
+from pmcl.engine import random_numbers
+from pmcl.engine.compile import entry
+from pmcl.engine.random_numbers import exponentials_into, normals_into
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -8,8 +8,8 @@ import shapely
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from pmcl.filtering.kernels.rays import cast_rays
 from pmcl.maps.walls import WallMap
+from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
 
 FAR = 1e3
 

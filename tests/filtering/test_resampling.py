@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.filtering.kernels.compile import entry
+from pmcl.engine.compile import entry
 from pmcl.filtering.kernels.resampling import SCHEMES, draw_index, multinomial_into, resample
 from pmcl.filtering.kernels.smc import ALL_ZERO, FINE, NOT_A_NUMBER, normalise
 

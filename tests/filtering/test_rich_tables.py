@@ -7,19 +7,14 @@ import math
 import numpy as np
 import pytest
 from oracles import made_tables
+from pmcl.models.rich_tables import rich_beams, rich_landmarks, rich_motion, wandering_motion
 from scipy import integrate, stats
 
-from pmcl.filtering.kernels import contract, smc
-from pmcl.filtering.kernels.compile import entry
-from pmcl.models.rich_tables import (
-    WiderStart,
-    rich_beams,
-    rich_landmarks,
-    rich_motion,
-    ring_neighbours,
-    wandering_motion,
-    wider_start,
-)
+from pmcl.engine import contract
+from pmcl.engine.compile import entry
+from pmcl.filtering.kernels import smc
+from pmcl.models.sensors.range_beams.table import ring_neighbours
+from pmcl.models.starts.table import WiderStart, wider_start
 from pmcl.models.tables import Tables
 
 # mypy: disable-error-code="no-untyped-def"

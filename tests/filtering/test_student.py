@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.filtering.kernels.student import (
+from pmcl.engine.student import (
     interval_probability,
     log_upper_tail,
     student_constant,

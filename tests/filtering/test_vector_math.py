@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from pmcl.filtering.kernels.vector_math import (
+from pmcl.engine.vector_math import (
     atan2_into,
     exp_into,
     extremes,

@@ -10,14 +10,14 @@ from scipy import stats
 
 import pmcl
 from pmcl.errors import FilterError, ModelError
-from pmcl.filtering.kernels import elsewhere
-from pmcl.filtering.kernels.adapt import _is_new, particles_needed
-from pmcl.filtering.kernels.localize_state import SUSPICION
+from pmcl.filtering.kernels.tracking import recovery
+from pmcl.filtering.kernels.tracking.adapt import _is_new, particles_needed
+from pmcl.filtering.kernels.tracking.state import SUSPICION
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.tracker import Options, Tracker
 from pmcl.localization.metrics import pose_errors
 from pmcl.localization.options import FilterOptions
-from pmcl.models.tables import GaussianStart
+from pmcl.models.starts.table import GaussianStart
 from pmcl.robots.amigobot import simulate_amigobot
 
 # Converged: within this of the truth, for good.
@@ -98,7 +98,7 @@ def test_the_belief_after_looking_elsewhere_is_the_mixture(rng):
         state.numbers[SUSPICION] = 0.3
         old = evidence - 1.0
         moments, told = (np.empty(1), np.empty((1, 1))), np.array([old, 0.0, 0.0])
-        status = elsewhere.look_elsewhere(
+        status = recovery.look_elsewhere(
             tracker.tables, tracker.stack, wide, tracker.options, 0, generator, state, *moments, told
         )
         assert status == 0

@@ -13,11 +13,11 @@ from oracles.random_walk_model import rail_log, rail_model
 from scipy import special
 
 import pmcl
+from pmcl.engine.compile import entry
+from pmcl.engine.parameter_draws import is_shared, log_likelihood
+from pmcl.engine.random_numbers import normals_into
+from pmcl.engine.views import columns, take
 from pmcl.errors import ModelError
-from pmcl.filtering.kernels.compile import entry
-from pmcl.filtering.kernels.drawn import is_shared, log_likelihood
-from pmcl.filtering.kernels.random_numbers import normals_into
-from pmcl.filtering.kernels.views import columns, take
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.filtering.tracker import Options, Tracker, stack_tables
 from pmcl.geometry import circular_mean, wrap
@@ -25,8 +25,9 @@ from pmcl.localization.many import localize_many
 from pmcl.localization.options import FilterOptions
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel
-from pmcl.models.sensors import RangeNoise
-from pmcl.models.tables import RangeBeams, Tables
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
+from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.tables import Tables
 
 N, ROWS, DRAWS, PICKS = 30, 5, 4, 3
 

@@ -18,7 +18,8 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import formula_effect
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.models.sensors import LandmarkNoise, RangeNoise
+from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field
 

@@ -13,9 +13,9 @@ import pmcl
 from pmcl.errors import LogError
 from pmcl.localization.online import OnlineLocalizer
 from pmcl.localization.options import FilterOptions
-from pmcl.models.motion import GrowingIncrementNoise
+from pmcl.models.motions.increments.motion import GrowingIncrementNoise
 from pmcl.models.robot_model import RobotModel
-from pmcl.models.sensors import RangeNoise
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.robots.landmark_field import simulate_landmark_field
 
 CHANNELS = {"range": "ranges", "landmark_range": "landmark_range", "landmark_bearing": "landmark_bearing"}

@@ -11,11 +11,12 @@ from scipy import stats
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_file import model_text, read_model
-from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise
+from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.models.sensors import LandmarkNoise, RangeNoise
-from pmcl.models.start import StartBelief
+from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
+from pmcl.models.starts.belief import StartBelief
 from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field
 from pmcl.sampling.checkpoint import fingerprint

@@ -11,12 +11,13 @@ from scipy import integrate, stats
 from pmcl.errors import LogError, MapError, ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
-from pmcl.models.motion import GrowingIncrementNoise, IncrementNoise, increment_residuals
+from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise, increment_residuals
 from pmcl.models.parameters import FAMILIES, Parameter, gamma_prior, log_prior_function, prior_table
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.models.sensors import LandmarkNoise, RangeNoise
-from pmcl.models.start import StartBelief
-from pmcl.models.tables import GaussianStart, PoseStart
+from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
+from pmcl.models.starts.belief import StartBelief
+from pmcl.models.starts.table import GaussianStart, PoseStart
 from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.robots.landmark_field import simulate_landmark_field
 

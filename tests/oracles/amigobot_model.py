@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pmcl.filtering.predict import beam_lengths
 from pmcl.geometry import compose
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.robot_model import BoundModel, RobotModel
-from pmcl.models.sensors import RangeNoise
+from pmcl.models.sensors.range_beams.linearisation import beam_lengths
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.models.tables import Tables
 
 Float = NDArray[np.float64]

@@ -8,7 +8,10 @@ import numpy as np
 import shapely
 from scipy import stats
 
-from pmcl.models.tables import GaussianStart, IncrementMotion, LandmarkSightings, PoseStart, RangeBeams
+from pmcl.models.motions.increments.table import IncrementMotion
+from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.starts.table import GaussianStart, PoseStart
 
 FAR = 1e4
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.kernels import contract
+from pmcl.engine import contract
 from pmcl.models.tables import Tables
 
 Float = NDArray[np.float64]
@@ -39,27 +39,27 @@ class PairReadings(NamedTuple):
     measured: NDArray[np.int64]
 
 
-@contract.state_size.register(StepChain, allocates=False)
+@contract.state_size.register(StepChain)
 def _size(motion):
     return 1
 
 
-@contract.scratch_rows.register(StartChain, allocates=False)
+@contract.scratch_rows.register(StartChain)
 def _start_rows(table):
     return 0
 
 
-@contract.scratch_rows.register(StepChain, allocates=False)
+@contract.scratch_rows.register(StepChain)
 def _step_rows(table):
     return 0
 
 
-@contract.scratch_rows.register(PairReadings, allocates=False)
+@contract.scratch_rows.register(PairReadings)
 def _reading_rows(table):
     return 0
 
 
-@contract.draw_start.register(StartChain, allocates=False)
+@contract.draw_start.register(StartChain)
 def _draw_start(start, rng, current):
     for i in range(current.shape[1]):
         u, k = rng.random(), 0
@@ -69,13 +69,13 @@ def _draw_start(start, rng, current):
         current[0, i] = k
 
 
-@contract.start_logpdf.register(StartChain, allocates=False)
+@contract.start_logpdf.register(StartChain)
 def _start_logpdf(start, current, logp):
     for i in range(logp.size):
         logp[i] += np.log(start.probability[int(current[0, i])])
 
 
-@contract.propagate.register(StepChain, allocates=False)
+@contract.propagate.register(StepChain)
 def _propagate(motion, t, rng, previous, current, scratch):
     for i in range(current.shape[1]):
         row = int(previous[0, i])
@@ -86,23 +86,23 @@ def _propagate(motion, t, rng, previous, current, scratch):
         current[0, i] = k
 
 
-@contract.transition_logpdf.register(StepChain, allocates=False)
+@contract.transition_logpdf.register(StepChain)
 def _transition_logpdf(motion, t, previous, current, logp, scratch):
     for i in range(logp.size):
         logp[i] += np.log(motion.probability[int(previous[0, i]), int(current[0])])
 
 
-@contract.looks_back.register(PairReadings, allocates=False)
+@contract.looks_back.register(PairReadings)
 def _looks_back(sensor):
     return True
 
 
-@contract.has_reading.register(PairReadings, allocates=False)
+@contract.has_reading.register(PairReadings)
 def _has_reading(sensor, t):
     return sensor.measured[t] > 0
 
 
-@contract.reading_logpdf.register(PairReadings, allocates=False)
+@contract.reading_logpdf.register(PairReadings)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     for i in range(logp.size):
         logp[i] += sensor.log_likelihood[t, int(previous[0, i]), int(current[0, i])]

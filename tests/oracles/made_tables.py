@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pmcl.maps.walls import WallMap
-from pmcl.models.tables import GaussianStart, IncrementMotion, LandmarkSightings, PoseStart, RangeBeams
+from pmcl.models.motions.increments.table import IncrementMotion
+from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.starts.table import GaussianStart, PoseStart
 
 ROOM = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 1.5], [2.5, 1.5], [2.5, 3.0], [0.0, 3.0]])
 

@@ -9,7 +9,7 @@ Both standard deviations are unknown. The model is linear and Gaussian, so every
 can also be computed exactly. A model needs three things, in this order below:
 
 1. Coefficient tables: NamedTuples of arrays and numbers, all that compiled code sees.
-2. Kernels: one plain function for each part of :mod:`pmcl.filtering.kernels.contract`, registered for the table's
+2. Kernels: one plain function for each part of :mod:`pmcl.engine.contract`, registered for the table's
    type. numba compiles them; they loop over the n particles in the columns of `current` (D, n) and add to `logp`.
 3. Parts: classes that name the parameters with their priors, and turn parameters into tables.
 
@@ -24,15 +24,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pmcl.filtering.predict import reading_geometry
 from scipy import stats
 
-from pmcl.filtering.kernels import contract
-from pmcl.filtering.predict import reading_geometry
+from pmcl.engine import contract
+from pmcl.engine.residuals import GaussianSums
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel
-from pmcl.models.statistics import GaussianSums
-from pmcl.models.tables import GaussianStart
+from pmcl.models.starts.table import GaussianStart
 
 Float = NDArray[np.float64]
 
@@ -68,24 +68,24 @@ class ReferencePositions(NamedTuple):
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
-@contract.state_size.register(RandomWalk, allocates=False)
+@contract.state_size.register(RandomWalk)
 def _one_component(motion):
     return 1
 
 
-@contract.scratch_rows.register(RandomWalk, allocates=False)
+@contract.scratch_rows.register(RandomWalk)
 def _motion_needs_no_scratch(table):
     return 0
 
 
-@contract.propagate.register(RandomWalk, allocates=False)
+@contract.propagate.register(RandomWalk)
 def _propagate(motion, t, rng, previous, current, scratch):
     for i in range(current.shape[1]):
         mean = motion.coefficient * previous[0, i] + motion.control[t]
         current[0, i] = mean + motion.std[t] * rng.standard_normal()
 
 
-@contract.transition_logpdf.register(RandomWalk, allocates=False)
+@contract.transition_logpdf.register(RandomWalk)
 def _transition_logpdf(motion, t, previous, current, logp, scratch):
     constant = -math.log(motion.std[t]) - _HALF_LOG_2PI
     for i in range(logp.size):
@@ -93,22 +93,22 @@ def _transition_logpdf(motion, t, previous, current, logp, scratch):
         logp[i] += constant - 0.5 * r * r
 
 
-@contract.scratch_rows.register(PositionReadings, allocates=False)
+@contract.scratch_rows.register(PositionReadings)
 def _sensor_needs_no_scratch(table):
     return 0
 
 
-@contract.looks_back.register(PositionReadings, allocates=False)
+@contract.looks_back.register(PositionReadings)
 def _looks_back(sensor):
     return False
 
 
-@contract.has_reading.register(PositionReadings, allocates=False)
+@contract.has_reading.register(PositionReadings)
 def _has_reading(sensor, t):
     return not math.isnan(sensor.reading[t])
 
 
-@contract.reading_logpdf.register(PositionReadings, allocates=False)
+@contract.reading_logpdf.register(PositionReadings)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     constant = -math.log(sensor.std) - _HALF_LOG_2PI
     for i in range(logp.size):
@@ -119,7 +119,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
 # Optional: with a distribution function, criticism can ask how well each reading was foreseen.
 
 
-@contract.one_reading.register(PositionReadings, allocates=False)
+@contract.one_reading.register(PositionReadings)
 def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
     if math.isnan(sensor.reading[t]):
         return False
@@ -135,14 +135,14 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
 # d[t] = jacobian d[t-1] + offset + noise; and a reading adds its precision, and precision times residual.
 
 
-@contract.linearise_transition.register(RandomWalk, allocates=False)
+@contract.linearise_transition.register(RandomWalk)
 def _linearise_transition(motion, t, before, after, jacobian, offset, precision):
     jacobian[0, 0] = motion.coefficient
     offset[0] = motion.coefficient * before[0] + motion.control[t] - after[0]
     precision[0, 0] = motion.std[t] ** -2
 
 
-@contract.linear_information.register(PositionReadings, allocates=False)
+@contract.linear_information.register(PositionReadings)
 def _linear_information(sensor, geometry, t, precision, shift):
     if not math.isnan(sensor.reading[t]):
         precision[0, 0] += sensor.std**-2

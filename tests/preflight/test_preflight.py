@@ -11,12 +11,12 @@ import pytest
 from oracles import mistakes
 
 from pmcl.errors import LogError, MapError
-from pmcl.filtering.kernels.rays import cast_rays
 from pmcl.geometry import compose
 from pmcl.logs.mrclam import read_mrclam
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
 from pmcl.posterior.calibrate import calibrate
 from pmcl.preflight.check import _tells, _usual_noise, checked_logs, disagreements, preflight
 from pmcl.preflight.evidence import evidence_of

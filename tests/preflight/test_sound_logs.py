@@ -7,8 +7,8 @@ import pytest
 
 from pmcl.errors import PmclError
 from pmcl.models.effects.catalogue import CATALOGUE
-from pmcl.models.motion import IncrementNoise
-from pmcl.models.sensors import LandmarkNoise
+from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.preflight.check import preflight
 from pmcl.robots.aibo import simulate_aibo
 from pmcl.robots.amigobot import simulate_amigobot

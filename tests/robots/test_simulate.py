@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from oracles import made_tables
 
+from pmcl.engine import contract
 from pmcl.errors import ModelError
-from pmcl.filtering.kernels import contract
 from pmcl.geometry import compose, wrap
+from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.parameters import Parameter, gamma_prior
-from pmcl.models.tables import GaussianStart, IncrementMotion
+from pmcl.models.starts.table import GaussianStart
 from pmcl.robots.simulate import draw_theta, simulate_path, simulate_readings
 
 N_ROWS = 4000

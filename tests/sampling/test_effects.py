@@ -17,13 +17,14 @@ from oracles.effect_logs import (
     true_values,
 )
 from oracles.monte_carlo import chain_standard_error
+from pmcl.filtering.predict import moved_geometry, reading_geometry
 
 import pmcl
 from pmcl.filtering.particle_filter import log_joint, make_rng
-from pmcl.filtering.predict import beam_lengths, moved_geometry, reading_geometry
 from pmcl.filtering.statistics import block_statistics, trajectory_statistics
 from pmcl.localization.model_choice import model_for
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensors.range_beams.linearisation import beam_lengths
 from pmcl.posterior.access import parameter_names, theta_draws
 from pmcl.posterior.files import read_posterior, write_posterior
 from pmcl.sampling.metropolis import update_theta

@@ -19,17 +19,17 @@ import math
 
 import numpy as np
 
-from pmcl.filtering.kernels.compile import entry, kernel
-from pmcl.filtering.kernels.contract import (
+from pmcl.engine.compile import entry, kernel
+from pmcl.engine.contract import (
     deviation_of_state,
     linearise_start,
     linearise_transition,
     state_of_deviation,
     state_size,
 )
+from pmcl.engine.sensor_tuples import sum_information
+from pmcl.engine.vector_math import total
 from pmcl.filtering.kernels.smc import joint, work_rows
-from pmcl.filtering.kernels.tuples import sum_information
-from pmcl.filtering.kernels.vector_math import total
 
 __all__ = ["carry", "factorise", "refresh_blocks", "transport_trial"]
 

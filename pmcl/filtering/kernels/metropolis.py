@@ -7,24 +7,10 @@ import math
 import numpy as np
 from numba import types
 
-from pmcl.filtering.kernels.compile import entry, generic, kernel, overload_for_types
-from pmcl.filtering.kernels.ranges import log_normal_tail
-from pmcl.models.statistics import GaussianSums, GrowingResiduals, RangeResiduals, SightingResiduals
+from pmcl.engine.compile import entry, kernel, overload_for_types
+from pmcl.engine.residuals import theta_logpdf
 
-__all__ = ["log_prior", "metropolis_block", "statistics_logpdf", "theta_logpdf"]
-
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-
-
-@generic
-def theta_logpdf(statistics, theta):
-    """Return the log density of the residuals, up to a constant that does not depend on theta."""
-
-
-@kernel
-def _value(statistics, theta, position):
-    slot = statistics.slots[position]
-    return theta[slot] if slot >= 0 else statistics.value[position]
+__all__ = ["log_prior", "metropolis_block", "statistics_logpdf"]
 
 
 @kernel
@@ -33,64 +19,6 @@ def _depends(slots, k):
     for position in range(slots.size):
         found |= slots[position] == k
     return found
-
-
-@theta_logpdf.register(GaussianSums, allocates=False)
-def _gaussian(statistics, theta):
-    value = 0.0
-    for group in range(statistics.slots.size):
-        std = _value(statistics, theta, group)
-        value -= statistics.counts[group] * math.log(std) + 0.5 * statistics.squares[group] / (std * std)
-    return value
-
-
-@theta_logpdf.register(GrowingResiduals, allocates=False)
-def _growing(statistics, theta):
-    forward, left, turn = _value(statistics, theta, 0), _value(statistics, theta, 1), _value(statistics, theta, 2)
-    forward_per_metre, turn_per_radian = _value(statistics, theta, 3), _value(statistics, theta, 4)
-    turn_per_metre = _value(statistics, theta, 5)
-    residual, distance, angle = statistics.residual, statistics.distance, statistics.turn
-    value = 0.0
-    for i in range(distance.size):
-        var_forward = forward**2 + (forward_per_metre * distance[i]) ** 2
-        var_turn = turn**2 + (turn_per_radian * angle[i]) ** 2 + (turn_per_metre * distance[i]) ** 2
-        value -= 0.5 * math.log(var_forward * var_turn)
-        value -= 0.5 * (residual[i, 0] ** 2 / var_forward + residual[i, 2] ** 2 / var_turn)
-        value -= 0.5 * (residual[i, 1] / left) ** 2
-    return value - distance.size * math.log(left)
-
-
-@theta_logpdf.register(RangeResiduals, allocates=False)
-def _ranges(statistics, theta):
-    std, weight = _value(statistics, theta, 0), _value(statistics, theta, 1)
-    constant = math.log((1.0 - weight) / std) - _HALF_LOG_2PI
-    floor = weight * statistics.density
-    residual, tail = statistics.residual, statistics.tail
-    value = 0.0
-    for i in range(residual.size):
-        r = residual[i] / std
-        value += math.log(math.exp(constant - 0.5 * r * r) + floor) if floor > 0.0 else constant - 0.5 * r * r
-    for i in range(tail.size):
-        value += math.log(1.0 - weight) + log_normal_tail(tail[i] / std)
-    return value
-
-
-@theta_logpdf.register(SightingResiduals, allocates=False)
-def _sightings(statistics, theta):
-    weight = _value(statistics, theta, 3)
-    residual, log_scale, log_outlier = statistics.residual, statistics.log_scale, statistics.log_outlier
-    value = 0.0
-    for i in range(log_scale.size):
-        inlier = math.log(1.0 - weight) + log_scale[i]
-        for channel in range(3):
-            if not math.isnan(residual[i, channel]):
-                std = _value(statistics, theta, channel)
-                r = residual[i, channel] / std
-                inlier -= 0.5 * r * r + math.log(std) + _HALF_LOG_2PI
-        outlier = math.log(weight) + log_outlier[i]
-        high, low = max(inlier, outlier), min(inlier, outlier)
-        value += high + math.log1p(math.exp(low - high))
-    return value
 
 
 @kernel

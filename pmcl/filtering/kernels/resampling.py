@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pmcl.filtering.kernels.compile import generic, kernel
-from pmcl.filtering.kernels.random_numbers import exponentials_into
+from pmcl.engine.compile import generic, kernel
+from pmcl.engine.random_numbers import exponentials_into
 
 __all__ = [
     "MULTINOMIAL",
@@ -173,11 +173,11 @@ def draw_parents(scheme, weights, weight_sum, rng, ancestors, scratch):
     """Fill `ancestors` (n,) by a scheme. Its type decides what is compiled: sweeps need one scheme only."""
 
 
-@draw_parents.register(Independent, allocates=False)
+@draw_parents.register(Independent)
 def _independent(scheme, weights, weight_sum, rng, ancestors, scratch):
     multinomial_into(weights, weight_sum, rng, scheme.first, ancestors, scratch)
 
 
-@draw_parents.register(AnyScheme, allocates=False)
+@draw_parents.register(AnyScheme)
 def _by_number(scheme, weights, weight_sum, rng, ancestors, scratch):
     resample(scheme.number, weights, weight_sum, rng, ancestors, scratch)

@@ -10,15 +10,8 @@ import math
 
 import numpy as np
 
-import pmcl.filtering.kernels.landmarks
-import pmcl.filtering.kernels.motion
-import pmcl.filtering.kernels.ranges
-import pmcl.filtering.kernels.rich_landmarks
-import pmcl.filtering.kernels.rich_motion
-import pmcl.filtering.kernels.rich_ranges
-import pmcl.filtering.kernels.start  # noqa: F401  (they register themselves)
-from pmcl.filtering.kernels.compile import entry, kernel
-from pmcl.filtering.kernels.contract import (
+from pmcl.engine.compile import entry, kernel
+from pmcl.engine.contract import (
     draw_start,
     path_reading_logpdf,
     path_transition_logpdf,
@@ -28,8 +21,7 @@ from pmcl.filtering.kernels.contract import (
     state_size,
     transition_logpdf,
 )
-from pmcl.filtering.kernels.resampling import Independent, draw_index, draw_parents
-from pmcl.filtering.kernels.tuples import (
+from pmcl.engine.sensor_tuples import (
     any_look_back,
     any_reading,
     count_slots,
@@ -37,7 +29,8 @@ from pmcl.filtering.kernels.tuples import (
     sum_logpdf,
     sum_path_logpdf,
 )
-from pmcl.filtering.kernels.vector_math import total
+from pmcl.engine.vector_math import total
+from pmcl.filtering.kernels.resampling import Independent, draw_index, draw_parents
 from pmcl.filtering.kernels.weighing import (
     ALL_ZERO,
     FINE,

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from pmcl.filtering.kernels.compile import entry
-from pmcl.filtering.kernels.contract import propagate, scratch_rows
+from pmcl.engine.compile import entry
+from pmcl.engine.contract import propagate, scratch_rows
 
 __all__ = ["steered_path"]
 

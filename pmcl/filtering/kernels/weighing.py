@@ -15,10 +15,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from pmcl.filtering.kernels.compile import generic, kernel, overload_for_types
-from pmcl.filtering.kernels.contract import one_reading, reading_count, reading_slots
-from pmcl.filtering.kernels.tuples import sum_logpdf
-from pmcl.filtering.kernels.vector_math import exp_into, maximum, total
+from pmcl.engine.compile import generic, kernel, overload_for_types
+from pmcl.engine.contract import one_reading, reading_count, reading_slots
+from pmcl.engine.sensor_tuples import sum_logpdf
+from pmcl.engine.vector_math import exp_into, maximum, total
 
 __all__ = ["ALL_ZERO", "FINE", "NOT_A_NUMBER", "NO_ANCESTOR", "AllAtOnce", "OneByOne", "normalise", "weigh"]
 
@@ -80,12 +80,12 @@ def weigh(record, sensors, t, previous, current, log_weights, weights, scratch):
     """Add the log densities of all readings at t to `log_weights` (n,); `weights` (n,) is work space."""
 
 
-@weigh.register(AllAtOnce, allocates=False)
+@weigh.register(AllAtOnce)
 def _all_at_once(record, sensors, t, previous, current, log_weights, weights, scratch):
     sum_logpdf(sensors, t, previous, current, log_weights, scratch)
 
 
-@weigh.register(OneByOne, allocates=False)
+@weigh.register(OneByOne)
 def _one_by_one(record, sensors, t, previous, current, log_weights, weights, scratch):
     _sensor_by_sensor(sensors, 0, record, t, previous, current, log_weights, weights, scratch)
 

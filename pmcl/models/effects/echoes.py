@@ -8,11 +8,11 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_beams, enrich_beams
+from pmcl.models.effects.editing import edit_beams
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.ranges import chosen_beams, each_beam, reads_ranges
 from pmcl.models.parameters import Parameter, gamma_prior
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["ECHO_EFFECTS"]
@@ -22,9 +22,9 @@ _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3"
 
 def _random(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     def edit(beams: Any) -> Any:
-        return beams._replace(outlier_weight=1.0 - (1.0 - beams.outlier_weight) * (1.0 - values[0]))
+        return {"outlier_weight": 1.0 - (1.0 - beams.outlier_weight) * (1.0 - values[0])}
 
-    return change_beams(tables, edit, "random-readings")
+    return edit_beams(tables, edit, "random-readings")
 
 
 def _joined(weights: Float, weight: float) -> Float:
@@ -34,7 +34,7 @@ def _joined(weights: Float, weight: float) -> Float:
 
 def _short(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     weight, length = values
-    return enrich_beams(
+    return edit_beams(
         tables,
         lambda beams: {"short_weight": _joined(beams.short_weight, weight), "short_length": float(length)},
         "short-readings",
@@ -42,7 +42,7 @@ def _short(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables
 
 
 def _no_echo(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_beams(
+    return edit_beams(
         tables, lambda beams: {"no_echo_weight": _joined(beams.no_echo_weight, values[0])}, "max-range-readings"
     )
 
@@ -54,16 +54,16 @@ def _dead_beam(tables: Tables, values: Float, log: RobotLog, where: Where) -> Ta
         weight[chosen] = _joined(weight[chosen], values[0])
         return {"no_echo_weight": weight}
 
-    return enrich_beams(tables, edit, "dead-beam")
+    return edit_beams(tables, edit, "dead-beam")
 
 
 def _cross_talk(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_beams(tables, lambda beams: {"talk_weight": _joined(beams.talk_weight, values[0])}, "cross-talk")
+    return edit_beams(tables, lambda beams: {"talk_weight": _joined(beams.talk_weight, values[0])}, "cross-talk")
 
 
 def _specular(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     weight, angle = values
-    return enrich_beams(
+    return edit_beams(
         tables,
         lambda beams: {"specular_weight": _joined(beams.specular_weight, weight), "specular_angle": float(angle)},
         "specular-reflection",
@@ -71,7 +71,7 @@ def _specular(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tab
 
 
 def _beam_width(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_beams(tables, lambda beams: {"width": beams.width + values[0]}, "beam-width")
+    return edit_beams(tables, lambda beams: {"width": beams.width + values[0]}, "beam-width")
 
 
 def _several_beams(log: RobotLog) -> bool:

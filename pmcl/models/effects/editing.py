@@ -1,110 +1,105 @@
-"""How effects edit tables: find the one they are about, replace fields, keep arrays as compiled code wants them."""
+"""How effects edit tables: find those they are about, replace fields, keep arrays as compiled code wants them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from pmcl.engine.tables import FieldView, with_fields
 from pmcl.errors import ModelError
-from pmcl.models.rich_tables import (
-    RichLandmarks,
-    RichMotion,
-    RichRangeBeams,
-    WanderingMotion,
-    rich_beams,
-    rich_landmarks,
-    rich_motion,
-)
-from pmcl.models.tables import IncrementMotion, LandmarkSightings, RangeBeams, Tables
+from pmcl.models.motions.increments.table import IncrementMotion
+from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.tables import Tables
 
-__all__ = [
-    "change_beams",
-    "change_landmarks",
-    "change_motion",
-    "enrich_beams",
-    "enrich_landmarks",
-    "enrich_motion",
-    "settled",
-]
+__all__ = ["Change", "edit_beams", "edit_landmarks", "edit_motion", "edit_sensors", "settled"]
 
-MOTIONS = (IncrementMotion, RichMotion, WanderingMotion)
-BEAMS = (RangeBeams, RichRangeBeams)
-LANDMARKS = (LandmarkSightings, RichLandmarks)
+Change = Callable[[Any], Mapping[str, Any]]
+"""Takes a table, whose extras read as its own fields, and returns new values of fields by their names."""
 
 
-def change_motion(tables: Tables, change: Callable[[Any], Any], name: str) -> Tables:
-    """Return the tables with `change` applied to the motion table.
+def edit_motion(tables: Tables, change: Change, name: str) -> Tables:
+    """Return the tables with fields of the motion table replaced.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables; they stay as they are.
+    change : callable
+        ``change(motion)`` returns new values by the name of the field. Fields of the table and of its extras are read
+        and named alike; extras are added when one of them is changed.
+    name : str
+        The effect, for messages.
+
+    Returns
+    -------
+    Tables
 
     Raises
     ------
     ModelError
         When the motion is of a type that effect `name` does not know.
     """
-    if not isinstance(tables.motion, MOTIONS):
+    if not isinstance(tables.motion, IncrementMotion):
         raise ModelError(
             f"effect {name}: expected motion by noisy increments, but got a {type(tables.motion).__name__}; "
             "leave the effect out"
         )
-    return tables._replace(motion=change(tables.motion))
+    return tables._replace(motion=with_fields(tables.motion, change(FieldView(tables.motion))))
 
 
-def change_beams(tables: Tables, change: Callable[[Any], Any], name: str, *, required: bool = True) -> Tables:
-    """Return the tables with `change` applied to every table of range beams; see :func:`change_motion`."""
-    return _change_sensors(tables, BEAMS, change, name, "range beams", required)
+def edit_beams(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:
+    """Return the tables with fields of every table of range beams replaced; see :func:`edit_sensors`."""
+    return edit_sensors(tables, RangeBeams, change, name, "range beams", required=required)
 
 
-def change_landmarks(tables: Tables, change: Callable[[Any], Any], name: str, *, required: bool = True) -> Tables:
-    """Return the tables with `change` applied to every table of landmark sightings; see :func:`change_motion`."""
-    return _change_sensors(tables, LANDMARKS, change, name, "landmark sightings", required)
+def edit_landmarks(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:
+    """Return the tables with fields of every table of landmark sightings replaced; see :func:`edit_sensors`."""
+    return edit_sensors(tables, LandmarkSightings, change, name, "landmark sightings", required=required)
 
 
-def enrich_motion(tables: Tables, change: Callable[[Any], Mapping[str, Any]], name: str) -> Tables:
-    """Return the tables with fields of the richer motion table replaced by what `change` returns for it."""
-
-    def edit(motion: Any) -> Any:
-        rich = rich_motion(motion)
-        return rich._replace(**change(rich))
-
-    return change_motion(tables, edit, name)
-
-
-def enrich_beams(
-    tables: Tables, change: Callable[[Any], Mapping[str, Any]], name: str, *, required: bool = True
+def edit_sensors(
+    tables: Tables, table_type: type, change: Change, name: str, words: str, *, required: bool = True
 ) -> Tables:
-    """Return the tables with fields of every richer table of beams replaced by what `change` returns for it."""
+    """Return the tables with fields of every sensor table of one type replaced.
 
-    def edit(beams: Any) -> Any:
-        rich = rich_beams(beams)
-        return rich._replace(**change(rich))
+    Parameters
+    ----------
+    tables : Tables
+        The tables; they stay as they are.
+    table_type : type
+        Which tables.
+    change : callable
+        As for :func:`edit_motion`.
+    name : str
+        The effect, for messages.
+    words : str
+        What such a sensor reads, for messages.
+    required : bool
+        Whether there must be such a sensor.
 
-    return change_beams(tables, edit, name, required=required)
+    Returns
+    -------
+    Tables
 
-
-def enrich_landmarks(
-    tables: Tables, change: Callable[[Any], Mapping[str, Any]], name: str, *, required: bool = True
-) -> Tables:
-    """Return the tables with fields of every richer table of sightings replaced by what `change` returns for it."""
-
-    def edit(seen: Any) -> Any:
-        rich = rich_landmarks(seen)
-        return rich._replace(**change(rich))
-
-    return change_landmarks(tables, edit, name, required=required)
-
-
-def _change_sensors(
-    tables: Tables, kinds: tuple[type, ...], change: Callable[[Any], Any], name: str, what: str, required: bool
-) -> Tables:
-    found = [isinstance(sensor, kinds) for sensor in tables.sensors]
+    Raises
+    ------
+    ModelError
+        When there is no such sensor, and one is required.
+    """
+    found = [isinstance(sensor, table_type) for sensor in tables.sensors]
     if required and not any(found):
         raise ModelError(
-            f"effect {name}: expected a model with {what}, but its sensors are "
+            f"effect {name}: expected a model with {words}, but its sensors are "
             f"{[type(sensor).__name__ for sensor in tables.sensors]}; leave the effect out"
         )
-    sensors = (change(s) if yes else s for s, yes in zip(tables.sensors, found, strict=True))
-    return tables._replace(sensors=tuple(sensors))
+    sensors = tuple(
+        with_fields(sensor, change(FieldView(sensor))) if yes else sensor
+        for sensor, yes in zip(tables.sensors, found, strict=True)
+    )
+    return tables._replace(sensors=sensors)
 
 
 def settled(tables: Any, before: Tables, name: str) -> Tables:
@@ -129,11 +124,13 @@ def settled(tables: Any, before: Tables, name: str) -> Tables:
     return Tables(start, motion, tuple(sensors))
 
 
-def _settled(table: NamedTuple) -> Any:
-    # `carray` is contiguous, aligned and writable at once: tables are settled for each proposal.
-    awkward = {
-        name: np.array(value, dtype=np.int64 if value.dtype.kind in "iu" else np.float64, order="C")
-        for name, value in zip(table._fields, table, strict=True)
-        if isinstance(value, np.ndarray) and not value.flags.carray
-    }
+def _settled(table: Any) -> Any:
+    awkward: dict[str, Any] = {}
+    for name, value in zip(table._fields, table, strict=True):
+        if isinstance(value, np.ndarray):
+            # `carray` is contiguous, aligned and writable at once: tables are settled for each proposal.
+            if not value.flags.carray:
+                awkward[name] = np.array(value, dtype=np.int64 if value.dtype.kind in "iu" else np.float64, order="C")
+        elif isinstance(value, tuple) and (inner := _settled(value)) is not value:
+            awkward[name] = inner
     return table._replace(**awkward) if awkward else table

@@ -13,7 +13,7 @@ from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.editing import settled
 from pmcl.models.parameters import Parameter, prior_support
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["CARRIERS", "MAGNITUDES", "Effect", "Where", "always", "named_apart"]

@@ -24,7 +24,7 @@ from scipy import stats
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import enrich_beams
+from pmcl.models.effects.editing import edit_beams
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.terms import OF_BEAMS, evaluated, motion_of_rows, names_in, needs_path, parsed, pose_of_rows
 from pmcl.models.parameters import Parameter
@@ -106,11 +106,11 @@ def _noise(component: int) -> Callable[[Tables, Float], Tables]:
 
 
 def _range(tables: Tables, change: Float) -> Tables:
-    return enrich_beams(tables, lambda beams: {"bias_at": beams.bias_at + change}, "formula of the ranges")
+    return edit_beams(tables, lambda beams: {"bias_at": beams.bias_at + change}, "formula of the ranges")
 
 
 def _range_noise(tables: Tables, change: Float) -> Tables:
-    return enrich_beams(
+    return edit_beams(
         tables, lambda beams: {"std_factor": beams.std_factor * _factor(change)}, "formula of the range noise"
     )
 

@@ -6,13 +6,13 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_motion, enrich_motion
+from pmcl.models.effects.editing import edit_motion
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.odometry import drives, moves
 from pmcl.models.effects.places import at_place, floor_places, has_floor
 from pmcl.models.parameters import Parameter, gamma_prior
-from pmcl.models.parts import Float
-from pmcl.models.rich_tables import wandering_motion, wider_start
+from pmcl.models.part import Float
+from pmcl.models.starts.table import wider_start
 from pmcl.models.tables import Tables
 
 __all__ = ["GRIP_EFFECTS"]
@@ -20,17 +20,17 @@ __all__ = ["GRIP_EFFECTS"]
 
 def _wheel_slip(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     weight, share = (float(value) for value in values)
-    return enrich_motion(tables, lambda motion: {"slip_weight": weight, "slip_share": share}, "wheel-slip")
+    return edit_motion(tables, lambda motion: {"slip_weight": weight, "slip_share": share}, "wheel-slip")
 
 
 def _heavy_tails(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_motion(tables, lambda motion: {"tail": float(values[0])}, "heavy-tailed-motion-noise")
+    return edit_motion(tables, lambda motion: {"tail": float(values[0])}, "heavy-tailed-motion-noise")
 
 
 def _patch(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     lost, x, y, radius = values
     row = np.array([[x, y, radius, lost]])
-    return enrich_motion(tables, lambda motion: {"patches": np.concatenate([motion.patches, row])}, "slippery-patch")
+    return edit_motion(tables, lambda motion: {"patches": np.concatenate([motion.patches, row])}, "slippery-patch")
 
 
 def _wandering(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
@@ -39,11 +39,7 @@ def _wandering(tables: Tables, values: Float, log: RobotLog, where: Where) -> Ta
     # A correlation of exactly one would leave the fourth component without noise of its own.
     keep = np.minimum(np.exp(-pause / time), 1.0 - 1e-9)
     keep[0] = 0.0
-    tables = change_motion(
-        tables,
-        lambda motion: wandering_motion(motion)._replace(wander=rate * pause, keep=keep),
-        "turn-noise-correlated",
-    )
+    tables = edit_motion(tables, lambda motion: {"wander": rate * pause, "keep": keep}, "turn-noise-correlated")
     return tables._replace(start=wider_start(tables.start, 0.0, 1.0))  # type: ignore[arg-type]
 
 

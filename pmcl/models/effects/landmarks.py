@@ -9,10 +9,10 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_landmarks, enrich_landmarks
+from pmcl.models.effects.editing import edit_landmarks
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.parameters import Parameter
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["LANDMARK_EFFECTS", "reads_bearing", "reads_distance", "reads_landmarks"]
@@ -40,31 +40,31 @@ def reads_landmarks(log: RobotLog) -> bool:
 
 
 def _bearing_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return change_landmarks(
-        tables, lambda seen: seen._replace(bearing_bias=seen.bearing_bias + values[0]), "bearing-bias"
+    return edit_landmarks(
+        tables, lambda seen: {"bearing_bias": seen.bearing_bias + values[0]}, "bearing-bias"
     )
 
 
 def _range_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return change_landmarks(
-        tables, lambda seen: seen._replace(range_bias=seen.range_bias + values[0]), "landmark-range-bias"
+    return edit_landmarks(
+        tables, lambda seen: {"range_bias": seen.range_bias + values[0]}, "landmark-range-bias"
     )
 
 
 def _range_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return change_landmarks(
-        tables, lambda seen: seen._replace(range_scale=seen.range_scale * (1.0 + values[0])), "landmark-range-scale"
+    return edit_landmarks(
+        tables, lambda seen: {"range_scale": seen.range_scale * (1.0 + values[0])}, "landmark-range-scale"
     )
 
 
 def _size_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return change_landmarks(
-        tables, lambda seen: seen._replace(size_constant=seen.size_constant * (1.0 + values[0])), "landmark-size-scale"
+    return edit_landmarks(
+        tables, lambda seen: {"size_constant": seen.size_constant * (1.0 + values[0])}, "landmark-size-scale"
     )
 
 
 def _range_noise(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_landmarks(
+    return edit_landmarks(
         tables,
         lambda seen: {"range_growth": seen.range_growth + values[0]},
         "landmark-range-noise-grows-with-range",
@@ -72,7 +72,7 @@ def _range_noise(tables: Tables, values: Float, log: RobotLog, where: Where) -> 
 
 
 def _bearing_noise(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_landmarks(
+    return edit_landmarks(
         tables, lambda seen: {"bearing_falloff": seen.bearing_falloff + values[0]}, "bearing-noise-falls-with-range"
     )
 
@@ -85,11 +85,11 @@ def _correlated(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
             "bearing_correlation": np.full(n_landmarks, values[1]),
         }
 
-    return enrich_landmarks(tables, edit, "landmark-noise-correlated")
+    return edit_landmarks(tables, edit, "landmark-noise-correlated")
 
 
 def _misread(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_landmarks(
+    return edit_landmarks(
         tables,
         lambda seen: {"misread_weight": 1.0 - (1.0 - seen.misread_weight) * (1.0 - values[0])},
         "landmark-misread",

@@ -8,13 +8,13 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_beams, change_landmarks, enrich_beams
+from pmcl.models.effects.editing import edit_beams, edit_landmarks
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.landmarks import reads_landmarks
 from pmcl.models.effects.places import at_place, floor_places
 from pmcl.models.effects.ranges import reads_ranges
 from pmcl.models.parameters import Parameter, gamma_prior
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["MAP_EFFECTS"]
@@ -46,24 +46,24 @@ def _wall_moved(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
             # To the left of the way from its first end to its second. Walls that meet it are drawn along, so that a
             # closed room stays closed.
             vertices[[a, b]] += values[0] * np.array([-along[1], along[0]]) / np.hypot(*along)
-        return beams._replace(vertices=vertices)
+        return {"vertices": vertices}
 
-    return change_beams(tables, edit, "wall-moved")
+    return edit_beams(tables, edit, "wall-moved")
 
 
 def _landmark_moved(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     def edit(seen: Any) -> Any:
         position = seen.position.copy()
         position[[int(landmark) for landmark in where.get("landmarks", (0,))]] += values
-        return seen._replace(position=position)
+        return {"position": position}
 
-    return change_landmarks(tables, edit, "landmark-moved")
+    return edit_landmarks(tables, edit, "landmark-moved")
 
 
 def _obstacle(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     weight, x, y, radius = values
     row = np.array([[x, y, radius, weight]])
-    return enrich_beams(
+    return edit_beams(
         tables, lambda beams: {"obstacles": np.concatenate([beams.obstacles, row])}, "unmapped-obstacle"
     )
 

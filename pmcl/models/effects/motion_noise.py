@@ -8,11 +8,11 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_motion
+from pmcl.models.effects.editing import edit_motion
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.odometry import drives, turns
 from pmcl.models.parameters import Parameter
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["MOTION_NOISE_EFFECTS"]
@@ -26,9 +26,9 @@ def _grown(tables: Tables, name: str, component: int, slope: float, size: Any) -
     def edit(motion: Any) -> Any:
         std = motion.std.copy()
         std[:, component] = np.hypot(std[:, component], slope * size(motion.mean))
-        return motion._replace(std=std)
+        return {"std": std}
 
-    return change_motion(tables, edit, name)
+    return edit_motion(tables, edit, name)
 
 
 def _distance(mean: Float) -> Float:

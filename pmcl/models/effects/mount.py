@@ -9,13 +9,13 @@ from scipy import stats
 
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_beams, change_landmarks, enrich_beams, enrich_landmarks
+from pmcl.models.effects.editing import edit_beams, edit_landmarks
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.landmarks import reads_bearing, reads_distance
 from pmcl.models.effects.odometry import moves
 from pmcl.models.effects.ranges import reads_ranges
 from pmcl.models.parameters import Parameter
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["MOUNT_EFFECTS"]
@@ -36,8 +36,8 @@ def has_direction(log: RobotLog) -> bool:
 
 
 def _remount(tables: Tables, name: str, beams: Any, landmarks: Any) -> Tables:
-    tables = change_beams(tables, beams, name, required=False)
-    return change_landmarks(tables, landmarks, name, required=False)
+    tables = edit_beams(tables, beams, name, required=False)
+    return edit_landmarks(tables, landmarks, name, required=False)
 
 
 def _sensor_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
@@ -50,11 +50,11 @@ def _sensor_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
         x, y = beams.beam_pose[:, 0], beams.beam_pose[:, 1]
         pose[:, 0], pose[:, 1] = c * x - s * y, s * x + c * y
         pose[:, 2] += yaw
-        return beams._replace(beam_pose=pose)
+        return {"beam_pose": pose}
 
     def camera(seen: Any) -> Any:
         # A camera is one thing and turns on its own axis.
-        return seen._replace(sensor_pose=seen.sensor_pose + np.array([0.0, 0.0, yaw]))
+        return {"sensor_pose": seen.sensor_pose + np.array([0.0, 0.0, yaw])}
 
     return _remount(tables, "sensor-yaw", ring, camera)
 
@@ -64,8 +64,8 @@ def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -
     return _remount(
         tables,
         "sensor-offset",
-        lambda beams: beams._replace(beam_pose=beams.beam_pose + offset),
-        lambda seen: seen._replace(sensor_pose=seen.sensor_pose + offset),
+        lambda beams: {"beam_pose": beams.beam_pose + offset},
+        lambda seen: {"sensor_pose": seen.sensor_pose + offset},
     )
 
 
@@ -76,8 +76,8 @@ def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
     def edit(table: Any) -> dict[str, Any]:
         return {"lag": table.lag + lag}
 
-    tables = enrich_beams(tables, edit, "sensor-latency", required=False)
-    return enrich_landmarks(tables, edit, "sensor-latency", required=False)
+    tables = edit_beams(tables, edit, "sensor-latency", required=False)
+    return edit_landmarks(tables, edit, "sensor-latency", required=False)
 
 
 def _moves_and_reads(log: RobotLog) -> bool:
@@ -88,10 +88,10 @@ def _depth(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables
     (depth,) = values
 
     def ring(beams: Any) -> Any:
-        return beams._replace(scale=beams.scale * (1.0 - depth + depth * np.cos(beams.beam_pose[:, 2])))
+        return {"scale": beams.scale * (1.0 - depth + depth * np.cos(beams.beam_pose[:, 2]))}
 
-    tables = change_beams(tables, ring, "range-is-depth", required=False)
-    return enrich_landmarks(tables, lambda seen: {"depth": float(depth)}, "range-is-depth", required=False)
+    tables = edit_beams(tables, ring, "range-is-depth", required=False)
+    return edit_landmarks(tables, lambda seen: {"depth": float(depth)}, "range-is-depth", required=False)
 
 
 def _looks_ahead(log: RobotLog) -> bool:

@@ -9,10 +9,10 @@ from scipy import stats
 
 from pmcl.geometry import compose
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_motion
+from pmcl.models.effects.editing import edit_motion
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.parameters import Parameter
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["ODOMETRY_EFFECTS"]
@@ -40,9 +40,9 @@ def _mean(tables: Tables, name: str, change: Any) -> Tables:
     def edit(motion: Any) -> Any:
         mean = motion.mean.copy()
         change(mean)
-        return motion._replace(mean=mean)
+        return {"mean": mean}
 
-    return change_motion(tables, edit, name)
+    return edit_motion(tables, edit, name)
 
 
 def _forward_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:

@@ -9,7 +9,7 @@ from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, Where
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 
 __all__ = ["at_place", "cell_size", "floor_places", "has_floor"]
 

@@ -10,11 +10,11 @@ from scipy import stats
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import enrich_beams
+from pmcl.models.effects.editing import edit_beams
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.ranges import reads_ranges
 from pmcl.models.parameters import Parameter
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["RANGE_NOISE_EFFECTS"]
@@ -35,36 +35,36 @@ def elapsed(log: RobotLog) -> Float:
 
 
 def _heavy_tails(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_beams(tables, lambda beams: {"tail": float(values[0])}, "heavy-tailed-range-noise")
+    return edit_beams(tables, lambda beams: {"tail": float(values[0])}, "heavy-tailed-range-noise")
 
 
 def _grows(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_beams(tables, lambda beams: {"growth": beams.growth + values[0]}, "range-noise-grows-with-range")
+    return edit_beams(tables, lambda beams: {"growth": beams.growth + values[0]}, "range-noise-grows-with-range")
 
 
 def _changes(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     change, when = values
     late = 0.5 * (1.0 + np.tanh((elapsed(log) - when) / _TRANSITION))
     factor = np.exp(change * late)
-    return enrich_beams(
+    return edit_beams(
         tables, lambda beams: {"std_factor": beams.std_factor * factor}, "range-noise-changes-in-time"
     )
 
 
 def _drifts(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     shift = values[0] * elapsed(log)[:, None]
-    return enrich_beams(tables, lambda beams: {"bias_at": beams.bias_at + shift}, "range-bias-drifts")
+    return edit_beams(tables, lambda beams: {"bias_at": beams.bias_at + shift}, "range-bias-drifts")
 
 
 def _correlated(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     def edit(beams: Any) -> Mapping[str, Any]:
         return {"correlation": np.full(beams.correlation.size, values[0])}
 
-    return enrich_beams(tables, edit, "range-noise-correlated")
+    return edit_beams(tables, edit, "range-noise-correlated")
 
 
 def _rounded(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return enrich_beams(tables, lambda beams: {"step": float(values[0])}, "quantized-readings")
+    return edit_beams(tables, lambda beams: {"step": float(values[0])}, "quantized-readings")
 
 
 def _read_row_after_row(log: RobotLog) -> bool:

@@ -8,10 +8,10 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import change_beams
+from pmcl.models.effects.editing import edit_beams
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.parameters import Parameter
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
 __all__ = ["RANGE_EFFECTS", "each_beam", "reads_ranges"]
@@ -36,29 +36,29 @@ def chosen_beams(where: Where) -> list[int]:
 
 
 def _range_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return change_beams(tables, lambda beams: beams._replace(bias=beams.bias + values[0]), "range-bias")
+    return edit_beams(tables, lambda beams: {"bias": beams.bias + values[0]}, "range-bias")
 
 
 def _range_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return change_beams(tables, lambda beams: beams._replace(scale=beams.scale * (1.0 + values[0])), "range-scale")
+    return edit_beams(tables, lambda beams: {"scale": beams.scale * (1.0 + values[0])}, "range-scale")
 
 
 def _beam_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     def edit(beams: Any) -> Any:
         bias = beams.bias.copy()
         bias[chosen_beams(where)] += values[0]
-        return beams._replace(bias=bias)
+        return {"bias": bias}
 
-    return change_beams(tables, edit, "beam-bias")
+    return edit_beams(tables, edit, "beam-bias")
 
 
 def _beam_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     def edit(beams: Any) -> Any:
         pose = beams.beam_pose.copy()
         pose[chosen_beams(where), 2] += values[0]
-        return beams._replace(beam_pose=pose)
+        return {"beam_pose": pose}
 
-    return change_beams(tables, edit, "beam-yaw")
+    return edit_beams(tables, edit, "beam-yaw")
 
 
 RANGE_EFFECTS = (

@@ -11,7 +11,7 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.registry import known_effects
 from pmcl.models.parameters import prior_support
-from pmcl.models.parts import Float
+from pmcl.models.part import Float
 
 __all__ = ["effect_named", "parse_effect"]
 

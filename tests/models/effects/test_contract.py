@@ -26,7 +26,7 @@ from pmcl.models.effects.effect import MAGNITUDES
 from pmcl.models.effects.registry import candidates
 from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.parameters import prior_support, prior_table
-from pmcl.models.rich_tables import uniform
+from pmcl.models.tables import uniform
 from pmcl.sampling.checkpoint import fingerprint
 
 UNITS = {"m", "rad", "s", "1", "rad/m", "rad/s", "m/s", "1/m"}

@@ -18,7 +18,7 @@ from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_file import model_text, read_model
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel
-from pmcl.models.sensors import RangeNoise
+from pmcl.models.sensors.range_beams.sensor import RangeNoise
 
 
 def documented():

@@ -1,0 +1,140 @@
+"""Readings linearised once around a reference trajectory, for the Gaussian transport move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.engine.compile import kernel
+
+__all__ = ["BEARING", "RANGE", "SIZE", "ReadingGeometry", "RichGeometry", "add_information", "empty_geometry", "enriched", "inlier_share", "pack_geometry", "same_fields", "times_of"]
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+RANGE, BEARING, SIZE = 0, 1, 2
+
+
+class ReadingGeometry(NamedTuple):
+    """What each usable reading would ideally be at the reference trajectory, and its slope there.
+
+    Only geometry: biases, scales and noise come from the sensor's table, so that the same linearisation serves every
+    theta.
+
+    Attributes
+    ----------
+    first : ndarray of int, shape (T + 1,)
+        Readings of time t are ``first[t] : first[t + 1]``.
+    channel, kind : ndarray of int, shape (M,)
+        Beam or landmark index, and RANGE, BEARING or SIZE.
+    reading, value : ndarray, shape (M,)
+        What was measured, and the ideal value at the reference.
+    jacobian : ndarray, shape (M, D)
+        Derivative of the ideal value by the state.
+    weight : ndarray, shape (M,)
+        Share of the information that is used (the probability that the reading is no gross error, at the reference).
+    """
+
+    first: Int
+    channel: Int
+    kind: Int
+    reading: Float
+    value: Float
+    jacobian: Float
+    weight: Float
+
+
+class RichGeometry(NamedTuple):
+    """A :class:`ReadingGeometry` with what richer tables need beside.
+
+    Attributes
+    ----------
+    first, channel, kind, reading, value, jacobian, weight
+        As for :class:`ReadingGeometry`.
+    velocity : ndarray, shape (M,)
+        Change of the ideal value over the last step of the reference.
+    distance : ndarray, shape (M,)
+        Distance to what is seen [m].
+    depth : ndarray, shape (M,)
+        Cosine of the angle between it and the optical axis.
+    """
+
+    first: Int
+    channel: Int
+    kind: Int
+    reading: Float
+    value: Float
+    jacobian: Float
+    weight: Float
+    velocity: Float
+    distance: Float
+    depth: Float
+
+
+def pack_geometry(
+    n_steps: int, time: Int, channel: Int, kind: Int, reading: Float, value: Float, jacobian: Float, weight: Float
+) -> ReadingGeometry:
+    """Sort readings by time into a :class:`ReadingGeometry`; `time` (M,) is the step of each reading."""
+    order = np.argsort(time, kind="stable")
+    first = np.searchsorted(time[order], np.arange(n_steps + 1)).astype(np.int64)
+    return ReadingGeometry(
+        first,
+        np.ascontiguousarray(channel[order], dtype=np.int64),
+        np.ascontiguousarray(kind[order], dtype=np.int64),
+        np.ascontiguousarray(reading[order], dtype=float),
+        np.ascontiguousarray(value[order], dtype=float),
+        np.ascontiguousarray(jacobian[order], dtype=float),
+        np.ascontiguousarray(weight[order], dtype=float),
+    )
+
+
+def empty_geometry(*, full: bool) -> ReadingGeometry | RichGeometry:
+    """Return a linearisation without meaning, of either type, for which kernels can be compiled."""
+    number, index = np.empty(1), np.empty(1, dtype=np.int64)
+    plain = ReadingGeometry(index, index, index, number, number, np.empty((1, 3)), number)
+    return RichGeometry(*plain, number, number, number) if full else plain
+
+
+def times_of(geometry: ReadingGeometry | RichGeometry) -> Int:
+    """Return the row of each reading, (M,)."""
+    return np.repeat(np.arange(geometry.first.size - 1), np.diff(geometry.first))
+
+
+def enriched(geometry: ReadingGeometry, reference: Float, distance: Float, depth: Float) -> RichGeometry:
+    """Add distance (M,), depth (M,), and how fast the ideal value changes along the reference (T, D)."""
+    step = np.diff(reference, axis=0, prepend=reference[:1])[times_of(geometry)]
+    return RichGeometry(*geometry, np.einsum("kd,kd->k", geometry.jacobian, step), distance, depth)
+
+
+def same_fields(table: Any, other: Any, names: Iterable[str]) -> bool:
+    """Return whether some fields of two tables have equal values."""
+    return all(
+        getattr(table, name) is getattr(other, name) or np.array_equal(getattr(table, name), getattr(other, name))
+        for name in names
+    )
+
+
+def inlier_share(log_inlier: Float, outlier_weight: Float, log_outlier: Float | float) -> Float:
+    """Return the probability that each reading is no gross error."""
+    with np.errstate(divide="ignore", over="ignore"):
+        odds = np.log(outlier_weight) - np.log1p(-outlier_weight) + log_outlier - log_inlier
+        return np.asarray(1.0 / (1.0 + np.exp(odds)))
+
+
+@kernel
+def add_information(jacobian, k, scale, weight, residual, precision, shift):
+    """Add one scalar reading of a pose: slope ``scale * jacobian[k]``, inverse variance `weight`, and its residual."""
+    j0, j1, j2 = scale * jacobian[k, 0], scale * jacobian[k, 1], scale * jacobian[k, 2]
+    w0, w1, w2 = weight * j0, weight * j1, weight * j2
+    shift[0] += w0 * residual
+    shift[1] += w1 * residual
+    shift[2] += w2 * residual
+    precision[0, 0] += w0 * j0
+    precision[1, 0] += w1 * j0
+    precision[1, 1] += w1 * j1
+    precision[2, 0] += w2 * j0
+    precision[2, 1] += w2 * j1
+    precision[2, 2] += w2 * j2

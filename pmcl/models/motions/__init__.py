@@ -1,0 +1,1 @@
+"""Rooms of motion models: one package for each, with its table and kernels."""

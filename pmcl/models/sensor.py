@@ -1,0 +1,391 @@
+"""The door of a sensor's room: everything that generic code asks a sensor.
+
+A sensor is one class that derives from :class:`Sensor`, and one table type. The class says what the sensor's readings
+are called in a log, which parameters it has, how theta becomes a table, and what the table ideally reads; compiled
+functions of the table are registered with :mod:`pmcl.engine.contract`. Generic code (logs, model files, simulation,
+localization, the critic, reports) asks the class and knows no sensor by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from pmcl.errors import ModelError
+from pmcl.logs.arrays import LogArrays
+from pmcl.logs.schema import Variable
+from pmcl.models.parameters import Parameter
+from pmcl.models.part import BoundPart
+from pmcl.registry import SENSORS, register, registered
+
+__all__ = ["ReadingIndex", "Sensor", "register_sensor", "sensor_of", "sensors"]
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+
+class ReadingIndex(NamedTuple):
+    """What each single reading of a sensor is; the kernels call their places slots.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Names of the variables in a log that hold the readings, e.g. ``("range",)``.
+    kind, channel, time : ndarray of int, shape (N,)
+        Position in `kinds`; beam or landmark; row.
+    reading : ndarray, shape (N,)
+        The reading in its own unit, NaN where nothing was measured.
+    """
+
+    kinds: tuple[str, ...]
+    kind: Int
+    channel: Int
+    time: Int
+    reading: Float
+
+
+_of_table: dict[type, type[Sensor]] = {}
+
+
+class Sensor:
+    """A sensor model; a class derives from it for each kind of sensor.
+
+    A subclass is a frozen dataclass whose fields are the settings of the model, e.g. whether readings may be gross
+    errors. Model files hold these fields: booleans and numbers, with the field's metadata ``comment`` beside them.
+
+    Attributes
+    ----------
+    table_type : type
+        The NamedTuple type of its coefficient table.
+    variables : mapping of str to Variable
+        The variables that it has in a log, by their names in the file.
+    summary : str
+        What it is, in a few words, for comments and tables.
+    """
+
+    table_type: ClassVar[type]
+    variables: ClassVar[Mapping[str, Variable]] = {}
+    summary: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Remember which class the tables of a type belong to."""
+        super().__init_subclass__(**options)
+        if "table_type" in cls.__dict__:
+            _of_table[cls.table_type] = cls
+
+    # What a log holds.
+
+    @classmethod
+    def readings(cls) -> tuple[str, ...]:
+        """Return the names of the variables that hold readings."""
+        return tuple(name for name, variable in cls.variables.items() if variable.is_reading)
+
+    @classmethod
+    def check(cls, dataset: xr.Dataset, where: str) -> None:
+        """Check the sensor's variables in a log, beyond what their declarations say.
+
+        Parameters
+        ----------
+        dataset : xarray.Dataset
+            A log; its variables have the declared dimensions. Attributes may be brought into their usual form here.
+        where : str
+            File or call, for messages.
+
+        Raises
+        ------
+        LogError, MapError
+            When something is missing or impossible.
+        """
+
+    @classmethod
+    def count(cls, readings: Mapping[str, Float]) -> Int:
+        """Return how many readings there are in each row.
+
+        Parameters
+        ----------
+        readings : mapping of str to ndarray, shape (T, ...)
+            Those variables of the sensor that hold readings and that the log has.
+
+        Returns
+        -------
+        ndarray of int, shape (T,)
+            By default, each number counts.
+        """
+        return np.sum(
+            [np.count_nonzero(~np.isnan(values.reshape(len(values), -1)), axis=1) for values in readings.values()],
+            axis=0,
+            dtype=np.int64,
+        )
+
+    # What a model holds.
+
+    @classmethod
+    def default(cls, log: LogArrays, *, outliers: bool = False) -> Self | None:
+        """Return the usual model for a log, or None when the log has no readings of this sensor.
+
+        Parameters
+        ----------
+        log : LogArrays
+            The log.
+        outliers : bool
+            Whether readings may be gross errors, where the sensor's model offers that.
+
+        Returns
+        -------
+        Sensor or None
+        """
+        return cls() if any(name in log.dataset for name in cls.readings()) else None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The sensor's parameters, in the order in which its table function takes them."""
+        raise NotImplementedError
+
+    def bind(self, log: Any) -> BoundPart:
+        """Prepare for one log; raises ModelError when the log lacks what the model needs."""
+        raise NotImplementedError
+
+    # What can be said of a table without its kernels.
+
+    @staticmethod
+    def ideal_readings(table: Any, path: Float) -> Any:
+        """Return what the sensor would ideally read along a path, before bias, scale and noise.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        path : ndarray, shape (T, D)
+            States; T may be less than the log's.
+
+        Returns
+        -------
+        Any
+            Whatever the sensor's own statistics and simulation use; None when they need nothing.
+        """
+        return None
+
+    @staticmethod
+    def linearise(table: Any, reference: Float) -> Any:
+        """Linearise the readings once around a reference trajectory.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        reference : ndarray, shape (T, D)
+            The trajectory.
+
+        Returns
+        -------
+        NamedTuple or None
+            What :func:`pmcl.engine.contract.linear_information` takes; None when the sensor has no linearisation, so
+            that no Gaussian transport is possible with it.
+        """
+        return None
+
+    @staticmethod
+    def moved_linearisation(table: Any, made_from: Any, linearisation: Any, reference: Float) -> Any:
+        """Return a linearisation for a table whose mount or map is not that of the table it was made from.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table under some theta.
+        made_from : NamedTuple
+            The table that `linearisation` was made from.
+        linearisation : NamedTuple
+            From :meth:`linearise`.
+        reference : ndarray, shape (T, D)
+            The reference trajectory.
+
+        Returns
+        -------
+        NamedTuple
+            `linearisation` itself where nothing has moved; else one with the ideal values that `table` has at the
+            reference. Slopes stay. Cost: O(readings) where something has moved.
+        """
+        return linearisation
+
+    @staticmethod
+    def linearisation_like(table: Any) -> Any:
+        """Return an empty linearisation of the type that :meth:`linearise` makes of such a table, to compile for."""
+        return None
+
+    @classmethod
+    def simulate(cls, table: Any, path: Float, rng: np.random.Generator) -> Any:
+        """Draw readings along a path; what was not measured stays missing.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table; its readings say only what was measured when (NaN: nothing), and are replaced.
+        path : ndarray, shape (T, D)
+            States for all rows of the table.
+        rng : numpy.random.Generator
+            Source of randomness.
+
+        Returns
+        -------
+        NamedTuple
+            The table with new readings. Cost: O(readings), plus the map for each.
+
+        Raises
+        ------
+        ModelError
+            When the sensor cannot be simulated.
+        """
+        raise ModelError(
+            f"expected a sensor that can be simulated, but the one of table {_table_name(table)} has no 'simulate'; "
+            "write one in its class"
+        )
+
+    @classmethod
+    def store(cls, table: Any, dataset: xr.Dataset) -> None:
+        """Write the readings of a table into a log's dataset, in place.
+
+        Raises
+        ------
+        ModelError
+            When the sensor does not say how.
+        """
+        raise ModelError(
+            f"expected a sensor whose readings can be put into a log, but the one of table {_table_name(table)} has no "
+            "'store'; write one in its class"
+        )
+
+    @staticmethod
+    def along(table: Any, path: Float) -> dict[str, Float]:
+        """Return what terms of formulas may know of each channel at each row along a path.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        path : ndarray, shape (T, >= 3)
+            The path, headings not wrapped [m, m, rad].
+
+        Returns
+        -------
+        dict of str to ndarray, shape (T, channels)
+            By the names of :data:`pmcl.models.effects.terms.OF_BEAMS`; by default nothing.
+        """
+        return {}
+
+    @staticmethod
+    def covariates(table: Any, path: Float, index: ReadingIndex) -> dict[str, Float]:
+        """Return what each of some readings should be along a path, on which its residual may depend.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        path : ndarray, shape (T, D)
+            The path.
+        index : ReadingIndex
+            The N readings.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (N,)
+            ``distance`` [m], ``direction`` [rad] in the world, ``incidence`` [rad] (0: square on); by default nothing.
+        """
+        return {}
+
+    @staticmethod
+    def parts_that_differ(table: Any, other: Any) -> tuple[Any, Any]:
+        """Return two tables without the channels in which they are the same, so that comparing them costs less."""
+        return table, other
+
+    @staticmethod
+    def score_cache(table: Any, columns: Float) -> Any:
+        """Return an object that evaluates log densities of edited tables along trajectories faster than the kernels.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            The table that candidates of effects edit.
+        columns : ndarray, shape (M, D, T)
+            Trajectories.
+
+        Returns
+        -------
+        object or None
+            With a method ``terms(edited table)`` that returns (M, T) log densities, or None for a table that it cannot
+            evaluate; by default there is no such object.
+        """
+        return None
+
+    @staticmethod
+    def scoring_calls(table: Any, columns: Float) -> list[tuple[Any, tuple[Any, ...]]]:
+        """Return the compiled functions and arguments that the object of :meth:`score_cache` calls, to compile them."""
+        return []
+
+    @staticmethod
+    def index(table: Any, n_steps: int) -> ReadingIndex:
+        """Return what each slot of a table is, in the order of its kernel ``reading_slots``.
+
+        By default there is one slot for each row, named after the table.
+        """
+        rows = np.arange(n_steps, dtype=np.int64)
+        nothing = np.zeros(n_steps, dtype=np.int64)
+        return ReadingIndex((_table_name(table),), nothing, nothing, rows, np.full(n_steps, np.nan))
+
+
+def _table_name(table: Any) -> str:
+    return type(table).__name__
+
+
+class _Unknown(Sensor):
+    """Answers for a table whose type no class of sensors names."""
+
+
+def sensor_of(table: Any) -> type[Sensor]:
+    """Return the class of sensors that a table belongs to.
+
+    Parameters
+    ----------
+    table : NamedTuple
+        A sensor's table.
+
+    Returns
+    -------
+    type
+        For a table type that no class names, one that answers as :class:`Sensor` does by default.
+    """
+    return _of_table.get(type(table), _Unknown)
+
+
+def sensors() -> dict[str, type[Sensor]]:
+    """Return all registered classes of sensors by the names that model files have for them."""
+    return registered(SENSORS)
+
+
+def register_sensor(name: str) -> Any:
+    """Register a class of sensors for this process; an installed package uses an entry point instead.
+
+    Parameters
+    ----------
+    name : str
+        Its name in model files, e.g. ``"compass"`` for the table ``[sensors.compass]``.
+
+    Returns
+    -------
+    callable
+        A decorator for the class.
+
+    Raises
+    ------
+    ModelError
+        When the name is taken.
+    """
+
+    def decorate(sensor: type[Sensor]) -> type[Sensor]:
+        register(SENSORS, name, sensor)
+        return sensor
+
+    return decorate

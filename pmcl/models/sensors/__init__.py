@@ -1,0 +1,1 @@
+"""Rooms of sensors: one package for each, with its log variables, table, kernels, linearisation and simulation."""

@@ -1,0 +1,12 @@
+"""Sightings of known landmarks: distance, bearing and apparent size.
+
+Read in this order: :mod:`~.log_variables` (what a log holds), :mod:`~.sensor` (the model and its parameters),
+:mod:`~.table` (what theta becomes), :mod:`~.kernels` (densities of sightings, compiled), :mod:`~.linearisation`
+(for the transport move), :mod:`~.simulation` and :mod:`~.scoring` (for the critic).
+"""
+
+# Whoever uses the table needs its compiled functions, which register themselves.
+from pmcl.models.sensors.landmarks.kernels import full as _full  # noqa: F401
+from pmcl.models.sensors.landmarks.kernels import plain as _plain  # noqa: F401
+
+__all__: list[str] = []

@@ -1,0 +1,298 @@
+"""Kernels of :class:`~pmcl.models.tables.LandmarkSightings`: distance, bearing and apparent size of known landmarks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pmcl.engine.compile import entry, kernel
+from pmcl.engine.contract import (
+    has_reading,
+    linear_information,
+    looks_back,
+    one_reading,
+    path_reading_logpdf,
+    reading_count,
+    reading_logpdf,
+    reading_slots,
+    scratch_rows,
+)
+from pmcl.engine.linear_readings import BEARING, RANGE, SIZE, add_information
+from pmcl.engine.tables import NoExtras
+from pmcl.engine.vector_math import atan2_into, exp_into, log_into, sincos_into, upper_tail_into
+from pmcl.models.sensors.landmarks.table import LandmarkSightings
+
+_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+@scratch_rows.register(LandmarkSightings, NoExtras)
+def _scratch_rows(table):
+    return 7
+
+
+@looks_back.register(LandmarkSightings, NoExtras)
+def _looks_back(sensor):
+    return False
+
+
+@has_reading.register(LandmarkSightings, NoExtras)
+def _has_reading(sensor, t):
+    return sensor.first[t + 1] > sensor.first[t]
+
+
+@kernel
+def _add_distance(x, y, landmark_x, landmark_y, shifted, slope, constant, logp):
+    for i in range(logp.size):
+        dx, dy = landmark_x - x[i], landmark_y - y[i]
+        r = shifted - slope * math.sqrt(dx * dx + dy * dy)
+        logp[i] += constant - 0.5 * r * r
+
+
+@reading_logpdf.register(LandmarkSightings, NoExtras)
+def _reading_logpdf(sensor, t, previous, current, logp, scratch):
+    n = logp.size
+    sine, cosine, ahead, aside, work, angle = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
+    )  # fmt: skip
+    x, y = current[0], current[1]
+    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    mounted = mount_x != 0.0 or mount_y != 0.0
+    log_max_range = math.log(sensor.max_range)
+    # Landmarks mostly share one standard deviation: its logarithm is not taken for each of them.
+    usual_std, usual_constant = math.nan, 0.0
+    turned = False
+    for sighting in range(sensor.first[t], sensor.first[t + 1]):
+        # Of signed indices numba asks each time whether they are negative.
+        k = np.uint64(sighting)
+        j = np.uint64(sensor.landmark[k])
+        landmark_x, landmark_y = sensor.position[j, 0], sensor.position[j, 1]
+        weight = sensor.outlier_weight[j]
+        target = work if weight > 0.0 else logp
+        if weight > 0.0:
+            for i in range(n):
+                work[i] = 0.0
+        outlier = 0.0
+        has_bearing = not math.isnan(sensor.bearing[k])
+        z, size = sensor.range[k], sensor.size[k]
+        # The commonest sighting needs no frame of the sensor: one loop instead of three.
+        distance_only = not (has_bearing or mounted) and math.isnan(size)
+        if has_bearing or mounted:
+            if not turned:
+                sincos_into(current[2], sine, cosine)
+                turned = True
+            # In the sensor's frame, turned further by minus the reading: the residual is then one angle, already
+            # wrapped.
+            expected = sensor.bearing[k] - sensor.bearing_bias[j] + mount_yaw if has_bearing else 0.0
+            c, s = math.cos(expected), math.sin(expected)
+            offset_ahead, offset_aside = mount_x * c + mount_y * s, mount_y * c - mount_x * s
+            for i in range(n):
+                c_i, s_i = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
+                ahead[i] = (landmark_x - x[i]) * c_i + (landmark_y - y[i]) * s_i - offset_ahead
+            for i in range(n):
+                c_i, s_i = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
+                aside[i] = (landmark_y - y[i]) * c_i - (landmark_x - x[i]) * s_i - offset_aside
+        elif not distance_only:
+            for i in range(n):
+                ahead[i] = landmark_x - x[i]
+            for i in range(n):
+                aside[i] = landmark_y - y[i]
+        if not math.isnan(z):
+            scale, std = sensor.range_scale[j], sensor.range_std[j]
+            if std != usual_std:
+                usual_std, usual_constant = std, -math.log(std) - _HALF_LOG_2PI
+            inverse_std, constant = 1.0 / std, usual_constant
+            shifted, slope = (z - sensor.range_bias[j]) * inverse_std, scale * inverse_std
+            outlier -= log_max_range
+            if distance_only:
+                _add_distance(x, y, landmark_x, landmark_y, shifted, slope, constant, target)
+            else:
+                for i in range(n):
+                    r = shifted - slope * math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
+                    target[i] += constant - 0.5 * r * r
+        if not math.isnan(size):
+            # Gaussian on the ratio observed / ideal; the density of the pixels themselves divides by the ideal.
+            inverse_std, per_area = 1.0 / sensor.size_std[j], 1.0 / sensor.size_constant[j]
+            constant = math.log(inverse_std * per_area) - _HALF_LOG_2PI
+            outlier -= math.log(sensor.size_constant[j])
+            area, log_area = scratch[6], angle
+            for i in range(n):
+                area[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
+            log_into(area, log_area)
+            for i in range(n):
+                r = (size * area[i] * per_area - 1.0) * inverse_std
+                target[i] += log_area[i] + constant - 0.5 * r * r
+        if has_bearing:
+            inverse_std = 1.0 / sensor.bearing_std[j]
+            constant = math.log(inverse_std) - _HALF_LOG_2PI
+            outlier -= _LOG_2PI
+            atan2_into(aside, ahead, angle)
+            for i in range(n):
+                r = angle[i] * inverse_std
+                target[i] += constant - 0.5 * r * r
+        if weight > 0.0:
+            exp_into(work, 0.0, angle)
+            floor = weight * math.exp(outlier)
+            for i in range(n):
+                angle[i] = (1.0 - weight) * angle[i] + floor
+            log_into(angle, work)
+            for i in range(n):
+                logp[i] += work[i]
+
+
+@reading_count.register(LandmarkSightings, NoExtras)
+def _reading_count(sensor, n_steps):
+    return 3 * sensor.first[n_steps]
+
+
+@reading_slots.register(LandmarkSightings, NoExtras)
+def _reading_slots(sensor, t):
+    return 3 * sensor.first[t], 3 * sensor.first[t + 1]
+
+
+@one_reading.register(LandmarkSightings, NoExtras)
+def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    k, kind = slot // 3, slot % 3
+    j, n = sensor.landmark[k], logp.size
+    # All readings of a sighting share one coin: how likely it is a gross error, given those before.
+    gross, sine, cosine = memory[0], memory[1], memory[2]
+    if slot == 3 * sensor.first[t]:
+        sincos_into(current[2], sine, cosine)
+    if kind == RANGE:
+        for i in range(n):
+            gross[i] = sensor.outlier_weight[j]
+    z = sensor.range[k] if kind == RANGE else (sensor.bearing[k] if kind == BEARING else sensor.size[k])
+    if math.isnan(z):
+        return False
+    ahead, aside, deviation, share, draft = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    for i in range(n):
+        dx, dy = sensor.position[j, 0] - current[0, i], sensor.position[j, 1] - current[1, i]
+        ahead[i] = dx * cosine[i] + dy * sine[i] - mount_x
+        aside[i] = dy * cosine[i] - dx * sine[i] - mount_y
+    # How far the reading lies below what was expected, in standard deviations, and as a share of what a gross error may
+    # read.
+    if kind == RANGE:
+        outlier, inverse_std = 1.0 / sensor.max_range, 1.0 / sensor.range_std[j]
+        constant = math.log(inverse_std) - _HALF_LOG_2PI
+        for i in range(n):
+            distance = math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
+            deviation[i] = (sensor.range_scale[j] * distance + sensor.range_bias[j] - z) * inverse_std
+            share[i] = z * outlier
+    elif kind == BEARING:
+        outlier, inverse_std = 0.5 / math.pi, 1.0 / sensor.bearing_std[j]
+        constant = math.log(inverse_std) - _HALF_LOG_2PI
+        atan2_into(aside, ahead, draft)
+        for i in range(n):
+            residual = z - sensor.bearing_bias[j] + mount_yaw - draft[i]
+            residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
+            deviation[i] = -residual * inverse_std
+            share[i] = 0.5 + residual * outlier
+    else:
+        outlier, inverse_std = 1.0 / sensor.size_constant[j], 1.0 / sensor.size_std[j]
+        constant = math.log(inverse_std * outlier) - _HALF_LOG_2PI
+        for i in range(n):
+            share[i] = z * outlier
+            draft[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
+            deviation[i] = (1.0 - share[i] * draft[i]) * inverse_std
+        log_into(draft, ahead)
+    upper_tail_into(deviation, low)
+    for i in range(n):
+        logp[i] = constant - 0.5 * deviation[i] * deviation[i] + (ahead[i] if kind == SIZE else 0.0)
+    if sensor.outlier_weight[j] > 0.0:
+        exp_into(logp, 0.0, draft)
+        for i in range(n):
+            wild = gross[i] * outlier
+            draft[i] = (1.0 - gross[i]) * draft[i] + wild
+            low[i] = (1.0 - gross[i]) * low[i] + gross[i] * min(max(share[i], 0.0), 1.0)
+            gross[i] = wild / draft[i]
+        log_into(draft, logp)
+    for i in range(n):
+        high[i] = low[i]
+    return True
+
+
+@path_reading_logpdf.register(LandmarkSightings, NoExtras)
+def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
+    sine, cosine = scratch[0], scratch[1]
+    sincos_into(path[2], sine, cosine)
+    time, landmark, position = sensor.time, sensor.landmark, sensor.position
+    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
+    ranges, bearings, sizes, shares = sensor.range, sensor.bearing, sensor.size, sensor.outlier_weight
+    range_scale, range_bias, range_std = sensor.range_scale, sensor.range_bias, sensor.range_std
+    bearing_bias, bearing_std = sensor.bearing_bias, sensor.bearing_std
+    size_constant, size_std = sensor.size_constant, sensor.size_std
+    log_max_range = math.log(sensor.max_range)
+    x, y = path[0], path[1]
+    for k in range(sensor.first[n_steps]):
+        t, j = time[k], landmark[k]
+        c, s = cosine[t], sine[t]
+        dx, dy = position[j, 0] - x[t], position[j, 1] - y[t]
+        ahead, aside = dx * c + dy * s - mount_x, dy * c - dx * s - mount_y
+        square = ahead * ahead + aside * aside
+        # Products of standard deviations are gathered so that one logarithm serves all channels.
+        value, scale, outlier = 0.0, 1.0, 0.0
+        if not math.isnan(ranges[k]):
+            r = (ranges[k] - range_bias[j] - range_scale[j] * math.sqrt(square)) / range_std[j]
+            value -= 0.5 * r * r + _HALF_LOG_2PI
+            scale *= range_std[j]
+            outlier -= log_max_range
+        if not math.isnan(sizes[k]):
+            ideal = size_constant[j] / square
+            r = (sizes[k] / ideal - 1.0) / size_std[j]
+            value -= 0.5 * r * r + _HALF_LOG_2PI
+            scale *= size_std[j] * ideal
+            outlier -= math.log(size_constant[j])
+        if not math.isnan(bearings[k]):
+            angle = bearings[k] - bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)
+            r = (angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)) / bearing_std[j]
+            value -= 0.5 * r * r + _HALF_LOG_2PI
+            scale *= bearing_std[j]
+            outlier -= _LOG_2PI
+        value -= math.log(scale)
+        if shares[j] > 0.0:
+            value = math.log((1.0 - shares[j]) * math.exp(value) + shares[j] * math.exp(outlier))
+        logp[t] += value
+
+
+@linear_information.register(LandmarkSightings, NoExtras)
+def _linear_information(sensor, geometry, t, precision, shift):
+    jacobian = geometry.jacobian
+    for k in range(geometry.first[t], geometry.first[t + 1]):
+        j, kind = geometry.channel[k], geometry.kind[k]
+        scale, expected, std = 1.0, geometry.value[k], 1.0
+        if kind == RANGE:
+            scale, std = sensor.range_scale[j], sensor.range_std[j]
+            expected = scale * expected + sensor.range_bias[j]
+        elif kind == BEARING:
+            std = sensor.bearing_std[j]
+            expected += sensor.bearing_bias[j]
+        else:
+            # The ratio observed / ideal has its noise on the observed side: in pixels it is size_std * ideal.
+            scale = sensor.size_constant[j]
+            expected *= scale
+            std = sensor.size_std[j] * expected
+        residual = geometry.reading[k] - expected
+        if kind == BEARING:
+            residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
+        weight = geometry.weight[k] / (std * std)
+        add_information(jacobian, k, scale, weight, residual, precision, shift)
+
+
+@entry
+def ideal_sightings(table, path):
+    """Return distance [m] and bearing in the sensor frame [rad] of each sighting along a path (T, D), as (N, 2)."""
+    n_steps = path.shape[0]
+    n = table.first[n_steps]
+    out = np.empty((n, 2))
+    mount_x, mount_y, mount_yaw = table.sensor_pose[0], table.sensor_pose[1], table.sensor_pose[2]
+    for t in range(n_steps):
+        c, s = math.cos(path[t, 2]), math.sin(path[t, 2])
+        for k in range(table.first[t], table.first[t + 1]):
+            j = table.landmark[k]
+            dx, dy = table.position[j, 0] - path[t, 0], table.position[j, 1] - path[t, 1]
+            ahead, aside = dx * c + dy * s - mount_x, dy * c - dx * s - mount_y
+            out[k, 0] = math.sqrt(ahead * ahead + aside * aside)
+            out[k, 1] = math.atan2(aside, ahead) - mount_yaw
+    return out

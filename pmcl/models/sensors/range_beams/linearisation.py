@@ -1,0 +1,122 @@
+"""Ideal ranges along a path, and their slopes: what residuals, simulation and the transport move share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.engine.linear_readings import (
+    RANGE,
+    ReadingGeometry,
+    RichGeometry,
+    empty_geometry,
+    enriched,
+    inlier_share,
+    pack_geometry,
+    same_fields,
+    times_of,
+)
+from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
+from pmcl.models.sensors.range_beams.table import RangeBeams, RangeExtras
+
+__all__ = ["beam_lengths", "empty_like", "linearise", "moved_linearisation"]
+
+Float = NDArray[np.float64]
+
+# A path may deviate from its reference by about this much; where a beam's length is not linear over that distance
+# (it crosses the edge of a wall), the beam is left out of the linearisation.
+_PROBE_STEP = (0.03, 0.03, 0.03)
+_TINY = 1e-5
+
+
+def beam_lengths(table: RangeBeams, path: Float) -> Float:
+    """Return the length of each beam's ray [m], shape (T, B), from poses `path` (T, >= 3).
+
+    Of a beam with a width it is that of the shortest of the five rays across its cone.
+    """
+    lengths = _ray_lengths(table, table.beam_pose, path)
+    if isinstance(table.extras, RangeExtras) and table.extras.width.any():
+        for share in (-0.5, -0.25, 0.25, 0.5):
+            mount = table.beam_pose.copy()
+            mount[:, 2] += share * table.extras.width
+            lengths = np.minimum(lengths, _ray_lengths(table, mount, path))
+    return lengths
+
+
+def _ray_lengths(table: RangeBeams, mount: Float, path: Float) -> Float:
+    c, s = np.cos(path[:, 2, None]), np.sin(path[:, 2, None])
+    origins = np.stack(
+        [
+            path[:, 0, None] + c * mount[:, 0] - s * mount[:, 1],
+            path[:, 1, None] + s * mount[:, 0] + c * mount[:, 1],
+            path[:, 2, None] + mount[:, 2],
+        ],
+        axis=-1,
+    )
+    return cast_rays(table.vertices, table.wall_start, table.wall_stop, origins)
+
+
+def linearise(table: RangeBeams, reference: Float) -> ReadingGeometry | RichGeometry:
+    """Linearise the readings of beams around a reference (T, D); see :meth:`pmcl.models.sensor.Sensor.linearise`."""
+    if not isinstance(table.extras, RangeExtras):
+        return _beam_geometry(table, reference)
+    extras = table.extras
+    gross = (table.outlier_weight, extras.no_echo_weight, extras.short_weight, extras.talk_weight)
+    sound = np.prod([1.0 - weight for weight in gross], axis=0)
+    rows = reference.shape[0]
+    std = table.std * extras.std_factor[:rows, None]
+    made = _beam_geometry(
+        table._replace(reading=table.reading[:rows] - extras.bias_at[:rows], std=std, outlier_weight=1.0 - sound),
+        reference,
+    )
+    made = made._replace(reading=np.ascontiguousarray(made.reading + extras.bias_at[times_of(made), made.channel]))
+    return enriched(made, reference, made.value.copy(), np.ones(made.value.size))
+
+
+def _beam_geometry(table: Any, reference: Float) -> ReadingGeometry:
+    value = beam_lengths(table, reference)
+    z = table.reading[: reference.shape[0]]
+    usable = ~np.isnan(z) & np.isfinite(value) & (z > 0.0) & (z < table.max_range)
+    jacobian = np.zeros((*value.shape, reference.shape[1]))
+    for d, step in enumerate(_PROBE_STEP):
+        slopes = []
+        for size in (_TINY, step):
+            shift = np.zeros(reference.shape[1])
+            shift[d] = size
+            ahead, behind = beam_lengths(table, reference + shift), beam_lengths(table, reference - shift)
+            with np.errstate(invalid="ignore"):
+                slopes.append((ahead - behind) / (2.0 * size))
+                bend = np.abs(ahead + behind - 2.0 * value)
+            usable &= np.isfinite(bend)
+        jacobian[..., d] = slopes[0]
+        with np.errstate(invalid="ignore"):
+            usable &= (np.abs(slopes[0] - slopes[1]) * step < 0.5 * table.std) & (bend < 0.5 * table.std)
+    residual = np.where(usable, z - np.minimum(table.scale * value + table.bias, 2.0 * table.max_range), 0.0)
+    log_inlier = -0.5 * (residual / table.std) ** 2 - np.log(table.std * np.sqrt(2.0 * np.pi))
+    weight = inlier_share(log_inlier, np.broadcast_to(table.outlier_weight, z.shape), -np.log(table.max_range))
+    time, beam = np.nonzero(usable)
+    at = (time, beam)
+    kind = np.full(time.size, RANGE)
+    return pack_geometry(reference.shape[0], time, beam, kind, z[at], value[at], jacobian[at], weight[at])
+
+
+def _same_place(table: RangeBeams, made_from: RangeBeams) -> bool:
+    if not same_fields(table, made_from, ("beam_pose", "vertices")):
+        return False
+    return not isinstance(table.extras, RangeExtras) or same_fields(table.extras, made_from.extras, ("width",))
+
+
+def moved_linearisation(table: RangeBeams, made_from: RangeBeams, linearisation: Any, reference: Float) -> Any:
+    """Return a linearisation for moved beams or walls; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
+    if _same_place(table, made_from):
+        return linearisation
+    lengths = beam_lengths(table, reference)[times_of(linearisation), linearisation.channel]
+    # A beam that meets nothing from its new place keeps the value that it had.
+    return linearisation._replace(value=np.where(np.isfinite(lengths), lengths, linearisation.value))
+
+
+def empty_like(table: RangeBeams) -> ReadingGeometry | RichGeometry:
+    """Return an empty linearisation of the type that belongs to such a table."""
+    return empty_geometry(full=isinstance(table.extras, RangeExtras))

@@ -1,0 +1,98 @@
+"""Beliefs about the first pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pmcl.errors import ModelError
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.parameters import Parameter
+from pmcl.models.part import Float, Int, owned
+from pmcl.models.starts.table import GaussianStart, PoseStart
+
+__all__ = ["StartBelief"]
+
+# How far beyond the outermost landmark a robot may start [m]: landmarks do not enclose the floor as walls do.
+_LANDMARK_MARGIN = 2.0
+
+
+@dataclass(frozen=True)
+class StartBelief:
+    """Where the robot may be at row 0.
+
+    Attributes
+    ----------
+    mean, std : tuple of float, optional
+        Gaussian belief (x [m], y [m], heading [rad]); an infinite standard deviation of x and y means anywhere on the
+        map, of the heading any direction. Taken from the log when left out.
+    """
+
+    mean: tuple[float, float, float] | None = None
+    std: tuple[float, float, float] | None = None
+    parameters: tuple[Parameter, ...] = ()
+
+    def bind(self, log: RobotLog) -> BoundStart:
+        """Make the table for one log; raises ModelError for a belief that no density can express."""
+        mean = owned(log.start_mean if self.mean is None else self.mean)
+        std = owned(log.start_std if self.std is None else self.std)
+        if mean.shape != (3,) or std.shape != (3,) or np.isnan(std).any() or (std <= 0.0).any():
+            raise ModelError(
+                f"{log.where}: the start belief needs three positive standard deviations (inf = unknown), "
+                f"but got {std.tolist()}; a robot placed exactly still has, say, 0.001"
+            )
+        if np.isinf(std[0]) != np.isinf(std[1]):
+            raise ModelError(
+                f"{log.where}: the start is unknown in x or y alone (standard deviations {std.tolist()}); "
+                "make both finite, or both inf for anywhere on the map"
+            )
+        if np.isfinite(std).all():
+            return BoundStart(GaussianStart(mean, std))
+        return BoundStart(_somewhere(log, np.where(np.isfinite(std), mean, 0.0), std))
+
+
+@dataclass(frozen=True)
+class BoundStart:
+    """A start belief with its table; it has no parameters."""
+
+    fixed: GaussianStart | PoseStart
+
+    def table(self, theta: Float) -> GaussianStart | PoseStart:
+        """Return the table."""
+        return self.fixed
+
+    def statistics(self, table: Any, path: Float, ideal: Any, index: Int, theta: Float) -> None:
+        """Nothing: the start does not depend on theta."""
+        return
+
+
+def _somewhere(log: RobotLog, mean: Float, std: Float) -> PoseStart:
+    segments = np.empty((0, 4))
+    walls, landmarks = log.walls, log.landmarks
+    if walls is not None:
+        x_low, x_high, y_low, y_high = walls.bounds
+        if walls.is_closed:
+            segments = owned(walls.segments.reshape(-1, 4))
+    elif landmarks is not None:
+        x_low, x_high, y_low, y_high = landmarks.bounds
+        x_low, x_high = x_low - _LANDMARK_MARGIN, x_high + _LANDMARK_MARGIN
+        y_low, y_high = y_low - _LANDMARK_MARGIN, y_high + _LANDMARK_MARGIN
+    else:
+        raise ModelError(
+            f"{log.where}: a start anywhere on the map needs a map, but the log has none; give start_mean, start_std"
+        )
+    area = (x_high - x_low) * (y_high - y_low)
+    if segments.shape[0]:
+        # Even-odd area by a fine grid: outlines may be given wall by wall, in any order and direction.
+        grid = np.stack(
+            np.meshgrid(np.linspace(x_low, x_high, 401)[:-1], np.linspace(y_low, y_high, 401)[:-1], indexing="ij"),
+            axis=-1,
+        )
+        assert walls is not None
+        grid += np.array([(x_high - x_low), (y_high - y_low)]) / 800.0
+        area *= float(np.mean(walls.contains(grid)))
+    log_density = -np.log(area) if np.isinf(std[0]) else 0.0
+    log_density -= np.log(2.0 * np.pi) if np.isinf(std[2]) else 0.0
+    return PoseStart(mean, std, np.array([x_low, y_low]), np.array([x_high, y_high]), segments, float(log_density))
