@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from pmcl.posterior.calibrate import calibrate
     from pmcl.posterior.diagnostics import verdict
     from pmcl.posterior.files import read_posterior, write_posterior
-    from pmcl.robots.aibo import simulate_aibo
-    from pmcl.robots.amigobot import simulate_amigobot
     from pmcl.sampling.move import ParticleGibbsMove
+    from pmcl.simulations.aibo import simulate_aibo
+    from pmcl.simulations.amigobot import simulate_amigobot
 
     __version__: str
 
@@ -75,8 +75,8 @@ _HOMES = {
     "localize": "pmcl.localization.offline",
     "localize_many": "pmcl.localization.many",
     "read_posterior": "pmcl.posterior.files",
-    "simulate_aibo": "pmcl.robots.aibo",
-    "simulate_amigobot": "pmcl.robots.amigobot",
+    "simulate_aibo": "pmcl.simulations.aibo",
+    "simulate_amigobot": "pmcl.simulations.amigobot",
     "verdict": "pmcl.posterior.diagnostics",
     "write_posterior": "pmcl.posterior.files",
 }

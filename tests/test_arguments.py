@@ -223,8 +223,8 @@ def no_work(monkeypatch):
     monkeypatch.setattr("pmcl.criticism.workflow.Search", reach)
     monkeypatch.setattr("pmcl.localization.setup.Tracker", reach)
     monkeypatch.setattr("pmcl.comparison.compare._compile", reach)
-    monkeypatch.setattr("pmcl.robots.amigobot.drive", reach)
-    monkeypatch.setattr("pmcl.robots.aibo.drive", reach)
+    monkeypatch.setattr("pmcl.simulations.amigobot.drive", reach)
+    monkeypatch.setattr("pmcl.simulations.aibo.drive", reach)
 
 
 def _after_memory(bound, plan, n_chains, seed, **rest):

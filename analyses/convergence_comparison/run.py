@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pmcl.comparison.compare import Comparison, compare
 from pmcl.reports.comparison_report import expected_error
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 LOG_SEED, SEED = 20060716, 4
 TRUTH = {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.1, "sigma_range": 0.04}

@@ -23,10 +23,10 @@ from emcee.state import State
 
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.compat import bulk_ess, r_hat
-from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.sampling.move import ParticleGibbsMove
 from pmcl.sampling.state import into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain
+from pmcl.simulations.amigobot import simulate_amigobot
 
 TRUTH = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.05, "sigma_range": 0.08}
 SEEDS = (11, 12, 13)  # of the logs; the chains' seeds follow from them

@@ -14,7 +14,7 @@ from pmcl.errors import PmclError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.effects.catalogue import CATALOGUE
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 __all__ = ["ALIKE", "ONLY_THERE", "PLACES", "Hidden", "make", "sealed", "simulate"]
 

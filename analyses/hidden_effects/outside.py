@@ -5,9 +5,9 @@ Some are among the critic's formulas as they are (``gyro-ramp``, ``compass-range
 """
 
 import numpy as np
-from pmcl.models.rich_tables import rich_beams
 from scipy import stats
 
+from pmcl.models.effects.editing import edit_beams
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths
@@ -30,12 +30,15 @@ def _motion(edit):
 
 def _range(bias=None, factor=None):
     def change(tables, values, log, where):
-        beams = rich_beams(tables.sensors[0])
-        if bias is not None:
-            beams = beams._replace(bias_at=beams.bias_at + values[0] * bias(beams, log))
-        if factor is not None:
-            beams = beams._replace(std_factor=beams.std_factor * factor(log))
-        return tables._replace(sensors=(beams, *tables.sensors[1:]))
+        def edit(beams):
+            changes = {}
+            if bias is not None:
+                changes["bias_at"] = beams.bias_at + values[0] * bias(tables.sensors[0], log)
+            if factor is not None:
+                changes["std_factor"] = beams.std_factor * factor(log)
+            return changes
+
+        return edit_beams(tables, edit, "outside")
 
     return change
 

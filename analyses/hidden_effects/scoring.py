@@ -10,8 +10,8 @@ from outside import OUTSIDE
 from pmcl.criticism.heldout import gap_of
 from pmcl.engine.contract import state_size
 from pmcl.errors import PmclError
+from pmcl.filtering.one_step_ahead import predict_readings
 from pmcl.filtering.particle_filter import log_joint, make_rng
-from pmcl.filtering.predictive import predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.selection import effect_named

@@ -32,8 +32,8 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.access import log_joint, theta_draws
 from pmcl.posterior.compat import assemble
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import simulate_amigobot
 
 TRUTH = {
     "amigobot": {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.1, "sigma_range": 0.04},

@@ -16,8 +16,8 @@ import numpy as np
 
 import pmcl
 from pmcl.posterior.access import theta_draws
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import simulate_amigobot
 
 SEED = 20060716
 SIMULATORS = {"amigobot": simulate_amigobot, "aibo": simulate_aibo}

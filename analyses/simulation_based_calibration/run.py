@@ -24,10 +24,11 @@ import numpy as np
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import gamma_prior
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensor import sensor_of
 from pmcl.posterior.compat import bulk_ess
-from pmcl.robots.simulate import make_rng, simulate_path, simulate_readings
 from pmcl.sampling.run import run_particle_gibbs
 from pmcl.sampling.stages import Plan
+from pmcl.simulations.simulate import make_rng, simulate_path
 
 ROWS = 40
 # Far outside what the robot can reach in 40 steps of 0.3 m, so that no noise makes a distance negative.
@@ -72,7 +73,7 @@ def replicate(number: int, kernel: str, particles: int) -> dict[str, float | int
     theta = blank.draw_prior(rng)
     (tables,) = blank.tables(theta)
     path = simulate_path(tables.motion, tables.start, rng)
-    table = simulate_readings(tables.sensors[0], path, rng)
+    table = sensor_of(tables.sensors[0]).simulate(tables.sensors[0], path, rng)
     bound = model.bind(log_with({"range": table.range.reshape(shape), "bearing": table.bearing.reshape(shape)}))
     plan = Plan(
         kernel=kernel,

@@ -24,9 +24,9 @@ from pmcl.localization.many import localize_many
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.compat import bulk_ess, r_hat
-from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.sampling.run import run_particle_gibbs
 from pmcl.sampling.stages import Plan
+from pmcl.simulations.amigobot import simulate_amigobot
 
 MOTION = {
     "steady": {"sigma_forward": 0.04, "sigma_left": 0.02, "sigma_turn": 0.08},

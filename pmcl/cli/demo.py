@@ -45,7 +45,7 @@ def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None
     from pmcl.posterior.files import replacing, write_posterior
     from pmcl.reports.figures import plot_pair
     from pmcl.reports.posterior_report import write_report
-    from pmcl.robots.amigobot import simulate_amigobot
+    from pmcl.simulations.amigobot import simulate_amigobot
 
     paths = {what: folder / name for what, name in _FILES.items()}
     on_interrupt(ctx, f"of {', '.join(_FILES.values())} only those already told were written")

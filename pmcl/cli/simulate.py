@@ -64,7 +64,7 @@ def _options_of_robots(command: Command) -> Command:
 @_options_of_robots
 def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float], **effects: Any) -> None:
     """Simulate the paper's Amigobot: eight sonars in an L-shaped room."""
-    from pmcl.robots.amigobot import simulate_amigobot
+    from pmcl.simulations.amigobot import simulate_amigobot
 
     _write(simulate_amigobot(duration, seed, theta, **effects, where="simulate amigobot"), output)
 
@@ -73,7 +73,7 @@ def amigobot(output: Path, duration: float, seed: int, theta: dict[str, float], 
 @_options_of_robots
 def aibo(output: Path, duration: float, seed: int, theta: dict[str, float], **effects: Any) -> None:
     """Simulate the paper's AIBO: a camera that sees coloured landmarks at the corners of a field."""
-    from pmcl.robots.aibo import simulate_aibo
+    from pmcl.simulations.aibo import simulate_aibo
 
     _write(simulate_aibo(duration, seed, theta, **effects, where="simulate aibo"), output)
 

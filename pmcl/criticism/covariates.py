@@ -47,7 +47,7 @@ def reading_covariates(
     path : ndarray, shape (T, D)
         Mean path.
     sensor, channel, time, kind : ndarray of int, shape (N,)
-        What each reading is, see :class:`pmcl.filtering.predictive.Predictions`.
+        What each reading is, see :class:`pmcl.filtering.one_step_ahead.Predictions`.
 
     Returns
     -------

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pmcl.criticism.covariates import RowCovariates, reading_covariates, row_covariates
 from pmcl.criticism.features import Feature, fluctuation_features, residual_features
 from pmcl.criticism.scores import Direction, base_rows, effect_rows
+from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import draw_paths, make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.models.robot_model import BoundModel
 
 __all__ = ["Evidence", "gather", "rescored"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.covariates import RowCovariates
-from pmcl.filtering.predictive import Predictions
+from pmcl.filtering.one_step_ahead import Predictions
 
 __all__ = ["FAMILIES", "Feature", "fluctuation_features", "residual_features"]
 

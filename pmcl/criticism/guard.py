@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from pmcl.errors import FilterError
 from pmcl.filtering.lost import lost_at
+from pmcl.filtering.one_step_ahead import predict_readings
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import predict_readings
 from pmcl.models.robot_model import BoundModel
 
 __all__ = ["lost_at", "particles_that_follow"]

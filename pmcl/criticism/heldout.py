@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.filtering.one_step_ahead import Predictions
 from pmcl.filtering.particle_filter import make_rng, run_filter
-from pmcl.filtering.predictive import Predictions
 from pmcl.models.robot_model import BoundModel
 
 __all__ = ["Gain", "Gap", "block_sums", "gap_of", "paired_gain", "row_scores"]

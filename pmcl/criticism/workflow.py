@@ -34,8 +34,8 @@ from pmcl.criticism.verdict import called, sentence_of, verdict_of
 from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimated_path, with_estimates
+from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect

@@ -13,7 +13,7 @@ import pmcl
 from pmcl.engine import contract
 from pmcl.filtering.predict import reading_geometry
 from pmcl.models import LandmarkNoise, RobotModel
-from pmcl.robots import simulate_landmark_field
+from pmcl.simulations import simulate_landmark_field
 
 
 class CompassReadings(NamedTuple):

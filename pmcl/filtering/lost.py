@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from pmcl.filtering.predictive import Predictions
+from pmcl.filtering.one_step_ahead import Predictions
 
 __all__ = ["lost_at"]
 

@@ -21,8 +21,8 @@ from scipy import special
 
 from pmcl.errors import FilterError
 from pmcl.filtering.lost import lost_at
+from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables

@@ -17,8 +17,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of

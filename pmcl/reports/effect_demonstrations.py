@@ -18,11 +18,11 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import MAGNITUDES, Effect
 from pmcl.models.robot_model import default_model
 from pmcl.models.sensor import sensor_of
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import AMIGOBOT_BEAMS, AMIGOBOT_ROOM, simulate_amigobot
-from pmcl.robots.effects import Affected
-from pmcl.robots.landmark_field import simulate_landmark_field
-from pmcl.robots.simulate import make_rng, simulate_path
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import AMIGOBOT_BEAMS, AMIGOBOT_ROOM, simulate_amigobot
+from pmcl.simulations.effects import Affected
+from pmcl.simulations.landmark_field import simulate_landmark_field
+from pmcl.simulations.simulate import make_rng, simulate_path
 
 __all__ = ["Demonstration", "Simulated", "demonstrate"]
 

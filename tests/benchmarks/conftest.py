@@ -8,8 +8,8 @@ import pytest
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 AMIGOBOT_THETA = {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.03, "sigma_range": 0.05}
 

@@ -13,7 +13,7 @@ from pmcl.criticism.scores import directions, fits
 from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 THETA = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
 CANDIDATES = 50

@@ -10,7 +10,7 @@ import pytest
 
 from pmcl.localization.many import localize_many
 from pmcl.localization.online import OnlineLocalizer
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the posteriors of the localization tests
 from localization.posteriors import around

@@ -11,10 +11,10 @@ from pmcl.logs.mrclam import read_mrclam
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.diagnostics import summarize
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
 from pmcl.sampling.run import run_particle_gibbs
 from pmcl.sampling.stages import Plan
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 AMIGOBOT_THETA = {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.03, "sigma_range": 0.05}
 

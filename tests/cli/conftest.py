@@ -4,7 +4,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmcl.cli.commands import pmcl as application
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from click import Context
 
 from pmcl.cli.commands import pmcl as application
 from pmcl.cli.criticize import _next_commands
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
 

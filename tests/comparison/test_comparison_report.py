@@ -13,7 +13,7 @@ from pmcl.comparison.compare import Comparison, Failure, MethodResult, compare
 from pmcl.comparison.curves import learning_curve, reference_of
 from pmcl.comparison.methods import Method, parse_methods
 from pmcl.reports.comparison_report import comparison_table, comparison_text, comparison_verdict, write_comparison
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 TRUTH = np.array([0.05, 0.3])
 

@@ -14,10 +14,10 @@ from pmcl.comparison.compare import compare
 from pmcl.comparison.curves import Reference, learning_curve, reference_of
 from pmcl.comparison.methods import METHODS, Method, parse_methods
 from pmcl.errors import SamplingError
-from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.sampling.run import run_ensemble, run_particle_gibbs
 from pmcl.sampling.stages import Plan, hurried_rate
 from pmcl.sampling.stopwatch import Stopwatch
+from pmcl.simulations.amigobot import simulate_amigobot
 
 
 def test_names_with_and_without_particles():

@@ -10,8 +10,8 @@ from pmcl.criticism.fit import BRIEF, THOROUGH, quick_fit
 from pmcl.errors import ModelError
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -19,7 +19,7 @@ from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
 

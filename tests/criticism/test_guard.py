@@ -8,11 +8,11 @@ import pytest
 from pmcl.criticism import guard
 from pmcl.criticism.guard import lost_at, particles_that_follow
 from pmcl.errors import FilterError
+from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.filtering.predictive import Predictions, predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
 

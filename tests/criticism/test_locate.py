@@ -14,7 +14,7 @@ from pmcl.criticism.features import Feature
 from pmcl.criticism.locate import locate
 from pmcl.criticism.workflow import criticize
 from pmcl.logs.robot_log import RobotLog
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def, arg-type"
 

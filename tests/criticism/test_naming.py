@@ -30,8 +30,8 @@ from pmcl.criticism.trials import Trial, spare_effects, trial_of_base, try_effec
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -15,8 +15,8 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motions.increments.motion import increment_residuals
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -19,8 +19,8 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

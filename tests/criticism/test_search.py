@@ -19,7 +19,7 @@ from pmcl.errors import FilterError
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -14,7 +14,7 @@ from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -13,8 +13,8 @@ from pmcl.criticism.workflow import criticize
 from pmcl.errors import CriticismError, FilterError, PmclError, PosteriorError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_file import read_model
-from pmcl.robots.amigobot import simulate_amigobot
 from pmcl.sampling.checkpoint import fingerprint
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
 

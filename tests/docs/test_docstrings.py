@@ -14,7 +14,7 @@ import pmcl
 from pmcl.cli.commands import pmcl as application
 from pmcl.examples import own_robot
 from pmcl.models.effects import read_effects
-from pmcl.robots import simulate_amigobot
+from pmcl.simulations import simulate_amigobot
 
 DOCUMENTED = documented_objects()
 LITERAL = {f"{name} {k}": block for name, text in DOCUMENTED.items() for k, block in enumerate(literal_blocks(text))}

@@ -19,8 +19,8 @@ from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import default_model
 from pmcl.models.tables import uniform
 from pmcl.posterior.calibrate import calibrate
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import simulate_amigobot
 
 SMALL = """
 from typing import NamedTuple

@@ -12,7 +12,7 @@ from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import formula_effect
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 from oracles import densities, made_tables
-from pmcl.filtering.predict import reading_geometry
 from scipy import optimize, stats
 
 from pmcl.engine import contract  # noqa: F401  (smc imports the implementations)
@@ -402,7 +401,7 @@ def test_linearised_range_readings(rng):
     """The shift is the gradient of the log density at the reference, row by row."""
     reference = made_tables.poses_in_room(rng, 6)
     beams = made_tables.range_beams(reference, rng, outliers=False, open_room=False)
-    geometry = reading_geometry(beams, reference)
+    geometry = sensor_of(beams).linearise(beams, reference)
     assert geometry.reading.size > 10
     for t in range(6):
         precision, shift = np.zeros((3, 3)), np.zeros(3)
@@ -434,7 +433,7 @@ def test_linearised_landmark_readings(channel, rng):
         bearing = densities.wrapped(np.arctan2(delta[1], delta[0]) - sensor[2] + seen.bearing_bias[j])
         seen.bearing[k] = bearing if channel == 1 else np.nan
         seen.size[k] = seen.size_constant[j] / distance**2 if channel == 2 else np.nan
-    geometry = reading_geometry(seen, reference)
+    geometry = sensor_of(seen).linearise(seen, reference)
 
     def density(x, t):
         value = densities.landmark_readings(seen, t, x)
@@ -459,7 +458,7 @@ def test_linearised_landmark_readings(channel, rng):
 def test_gradient_of_linearised_landmark_readings(channel, rng):
     reference = rng.uniform([0.5, 0.5, -3.0], [3.5, 3.5, 3.0], (5, 3))
     seen = made_tables.sightings(5, rng, outliers=False, channels=tuple(k == channel for k in range(3)))
-    geometry = reading_geometry(seen, reference)
+    geometry = sensor_of(seen).linearise(seen, reference)
     for t in range(5):
         precision, shift = np.zeros((3, 3)), np.zeros(3)
         contract.linear_information(seen, geometry, t, precision, shift)

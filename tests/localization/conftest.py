@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 THETA = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.08}
 

@@ -18,7 +18,7 @@ from pmcl.filtering.tracker import Options, Tracker
 from pmcl.localization.metrics import pose_errors
 from pmcl.localization.options import FilterOptions
 from pmcl.models.starts.table import GaussianStart
-from pmcl.robots.amigobot import simulate_amigobot
+from pmcl.simulations.amigobot import simulate_amigobot
 
 # Converged: within this of the truth, for good.
 NEAR, AIMED = 0.3, 0.3

@@ -20,8 +20,8 @@ from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # A wandering turn rate is a fourth state; correlated readings look back at the reading before.
 RICH = ("turn-noise-correlated", "range-noise-correlated", "wheel-slip")

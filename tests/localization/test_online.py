@@ -16,7 +16,7 @@ from pmcl.localization.options import FilterOptions
 from pmcl.models.motions.increments.motion import GrowingIncrementNoise
 from pmcl.models.robot_model import RobotModel
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 CHANNELS = {"range": "ranges", "landmark_range": "landmark_range", "landmark_bearing": "landmark_bearing"}
 

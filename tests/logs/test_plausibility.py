@@ -11,8 +11,8 @@ from oracles import mistakes
 from pmcl.errors import LogError
 from pmcl.logs.plausibility import implausible, without_map
 from pmcl.logs.robot_log import RobotLog
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,9 @@ from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.models.starts.belief import StartBelief
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
 from pmcl.sampling.checkpoint import fingerprint
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 INF = float("inf")
 RANGES = (RangeNoise(),)

@@ -18,8 +18,8 @@ from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.models.starts.belief import StartBelief
 from pmcl.models.starts.table import GaussianStart, PoseStart
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 INF = float("inf")
 PRIORS = [

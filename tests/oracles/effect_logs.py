@@ -12,9 +12,9 @@ from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.tables import Tables
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 SONAR = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
 FIELD = {"sigma_landmark_range": 0.2, "sigma_bearing": 0.05}

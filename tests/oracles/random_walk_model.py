@@ -20,11 +20,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pmcl.filtering.predict import reading_geometry
 from scipy import stats
 
 from pmcl.engine import contract
@@ -32,6 +31,7 @@ from pmcl.engine.residuals import GaussianSums
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel
+from pmcl.models.sensor import Sensor
 from pmcl.models.starts.table import GaussianStart
 
 Float = NDArray[np.float64]
@@ -63,7 +63,7 @@ class ReferencePositions(NamedTuple):
     value: Float
 
 
-# 2. Kernels. Those that make no arrays say so (allocates=False) and run faster.
+# 2. Kernels. None of them makes an array; one that does says so (allocates=True) and runs slower.
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
@@ -149,11 +149,6 @@ def _linear_information(sensor, geometry, t, precision, shift):
         shift[0] += (sensor.reading[t] - geometry.value[t]) * sensor.std**-2
 
 
-@reading_geometry.register
-def _(table: PositionReadings, reference: Float) -> ReferencePositions:
-    return ReferencePositions(reference[:, 0].copy())
-
-
 # 3. Parts
 
 
@@ -206,12 +201,18 @@ class BoundRailMotion:
 
 
 @dataclass(frozen=True)
-class RailSensor:
+class RailSensor(Sensor):
     """Distance to the landmark at the end of the rail with unknown noise `reading_std` [m]."""
+
+    table_type: ClassVar[type] = PositionReadings
 
     parameters: tuple[Parameter, ...] = (
         Parameter("reading_std", "m", stats.gamma(3.0, scale=0.2), "noise of a distance reading"),
     )
+
+    @staticmethod
+    def linearise(table: PositionReadings, reference: Float) -> ReferencePositions:
+        return ReferencePositions(reference[:, 0].copy())
 
     def bind(self, log: RobotLog) -> BoundRailSensor:
         assert log.landmark_range is not None

@@ -12,10 +12,11 @@ from scipy import stats
 import pmcl
 from pmcl.criticism.fit import THOROUGH, quick_fit
 from pmcl.errors import FilterError
+from pmcl.filtering.one_step_ahead import predict_readings
 from pmcl.filtering.particle_filter import make_rng, run_filter
-from pmcl.filtering.predictive import predict_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensor import Sensor
 from pmcl.posterior import predictive_check
 from pmcl.posterior.access import theta_draws
 from pmcl.posterior.compat import assemble, attributes, extended, find_group, group_names
@@ -24,8 +25,7 @@ from pmcl.posterior.log_groups import reading_kinds
 from pmcl.posterior.model_check import LEVEL, check_model
 from pmcl.posterior.predictive_check import check_group
 from pmcl.posterior.predictive_draws import _replicated
-from pmcl.robots.landmark_field import simulate_landmark_field
-from pmcl.robots.simulate import simulate_readings
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -230,10 +230,15 @@ class Probe(NamedTuple):
     paths: list
 
 
-@simulate_readings.register
-def _(table: Probe, path: np.ndarray, rng: np.random.Generator) -> Probe:
-    table.paths.append(path)
-    return table
+class ProbeSensor(Sensor):
+    """The sensor of that table."""
+
+    table_type = Probe
+
+    @classmethod
+    def simulate(cls, table: Probe, path: np.ndarray, rng: np.random.Generator) -> Probe:
+        table.paths.append(path)
+        return table
 
 
 def test_each_replicated_row_follows_a_particle_and_its_ancestor():

@@ -22,9 +22,9 @@ from pmcl.preflight.check import _tells, _usual_noise, checked_logs, disagreemen
 from pmcl.preflight.evidence import evidence_of
 from pmcl.preflight.hypotheses import hypotheses_of
 from pmcl.preflight.stretch import stretch_of
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 USUAL = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.05}
 

@@ -12,8 +12,8 @@ from pmcl.preflight.check import _usual_noise
 from pmcl.preflight.hypotheses import hypotheses_of
 from pmcl.preflight.readings import Sensors
 from pmcl.preflight.stretch import RowReadings
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 NOTHING = np.empty(0)
 NONE = np.empty(0, dtype=np.int64)

@@ -10,9 +10,9 @@ from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.preflight.check import preflight
-from pmcl.robots.aibo import simulate_aibo
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.aibo import simulate_aibo
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -11,7 +11,7 @@ from oracles import mistakes
 import pmcl.cli.convert
 import pmcl.criticism.workflow
 import pmcl.posterior.calibrate
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 
 class ReachedSampling(Exception):

@@ -16,7 +16,7 @@ from pmcl.criticism.result import Unexplained
 from pmcl.criticism.workflow import criticize
 from pmcl.reports import criticism_figures as figures
 from pmcl.reports.criticism_report import write_criticism_report
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -17,13 +17,13 @@ from oracles.effect_logs import (
     true_values,
 )
 from oracles.monte_carlo import chain_standard_error
-from pmcl.filtering.predict import moved_geometry, reading_geometry
 
 import pmcl
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.filtering.statistics import block_statistics, trajectory_statistics
 from pmcl.localization.model_choice import model_for
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensor import sensor_of
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths
 from pmcl.posterior.access import parameter_names, theta_draws
 from pmcl.posterior.files import read_posterior, write_posterior
@@ -115,15 +115,15 @@ def test_a_moved_sensor_or_map_moves_the_linearised_readings(name):
     null = np.concatenate([theta[: -len(bound.effects[0].null)], bound.effects[0].null])
     (now,) = bound.tables(null)
     sensor = now.sensors[0]
-    made = reading_geometry(sensor, path)
-    assert moved_geometry(sensor, sensor, made, path) is made
-    moved = moved_geometry(then.sensors[0], sensor, made, path)
+    made = sensor_of(sensor).linearise(sensor, path)
+    assert sensor_of(sensor).moved_linearisation(sensor, sensor, made, path) is made
+    moved = sensor_of(sensor).moved_linearisation(then.sensors[0], sensor, made, path)
     assert np.abs(moved.value - made.value).max() > 0.02
     if name != "landmark-moved":
         time = np.repeat(np.arange(len(path)), np.diff(made.first))
         np.testing.assert_allclose(moved.value, beam_lengths(then.sensors[0], path)[time, made.channel], atol=1e-12)
     else:
-        np.testing.assert_allclose(moved.value, reading_geometry(then.sensors[0], path).value, atol=1e-12)
+        np.testing.assert_allclose(moved.value, sensor_of(sensor).linearise(then.sensors[0], path).value, atol=1e-12)
     np.testing.assert_array_equal(moved.reading, made.reading)
 
 

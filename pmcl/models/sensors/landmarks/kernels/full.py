@@ -1,4 +1,4 @@
-"""Kernels of :class:`~pmcl.models.rich_tables.RichLandmarks`: sightings late, misread, unevenly noisy, or related."""
+"""Kernels of :class:`~pmcl.engine.tables.RichLandmarks`: sightings late, misread, unevenly noisy, or related."""
 
 from __future__ import annotations
 

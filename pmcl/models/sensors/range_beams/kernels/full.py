@@ -1,4 +1,4 @@
-"""Kernels of :class:`~pmcl.models.rich_tables.RichRangeBeams`: range readings with everything that may befall them.
+"""Kernels of :class:`~pmcl.engine.tables.RichRangeBeams`: range readings with everything that may befall them.
 
 A filter evaluates one reading at many states, a path many readings at one state each. Both are columns here: column i
 belongs to row ``first + stride * i`` of the readings, with stride 0 in a filter and 1 along a path, so that one

@@ -17,9 +17,9 @@ from pmcl.maps.walls import WallMap
 from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.models.sensors.range_beams.simulation import simulate
-from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.effects import Affected, Given, affected_by, check_given
-from pmcl.robots.simulate import check_run, draw_theta, make_rng
+from pmcl.simulations.driving import WaypointDriver, drive
+from pmcl.simulations.effects import Affected, Given, affected_by, check_given
+from pmcl.simulations.simulate import check_run, draw_theta, make_rng
 
 __all__ = ["AMIGOBOT_BEAMS", "AMIGOBOT_ROOM", "simulate_amigobot"]
 
@@ -130,7 +130,7 @@ def simulate_amigobot(
             true_theta=affected.true_theta if affected and told else truth,
             attributes={"effects": affected.described()} if affected and told and effects else None,
             robot="Amigobot (simulated)",
-            source=f"pmcl.robots.amigobot, seed {seed}",
+            source=f"pmcl.simulations.amigobot, seed {seed}",
             seed=seed,
             where=where,
             warn=False,  # half-made logs are no mistakes

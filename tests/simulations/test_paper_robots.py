@@ -9,9 +9,9 @@ import shapely
 from pmcl.errors import ModelError
 from pmcl.geometry import between, compose, wrap
 from pmcl.maps.walls import WallMap
-from pmcl.robots.amigobot import AMIGOBOT_BEAMS, AMIGOBOT_ROOM, simulate_amigobot
-from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import AMIGOBOT_BEAMS, AMIGOBOT_ROOM, simulate_amigobot
+from pmcl.simulations.driving import WaypointDriver, drive
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 EXACT = {"sigma_forward": 1e-9, "sigma_left": 1e-9, "sigma_turn": 1e-9, "sigma_range": 1e-9}
 

@@ -1,7 +1,7 @@
 """Draws from what a model says: theta, paths and readings, the counterparts of the densities that pmcl infers with.
 
 Noise is never redrawn, clipped or rejected to keep a robot in its room: whatever a simulator throws away is an effect
-that no model of the log contains. A robot stays inside because it is steered (:mod:`pmcl.robots.driving`).
+that no model of the log contains. A robot stays inside because it is steered (:mod:`pmcl.simulations.driving`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Steering looks at the true pose, so the commands tell something of the noise before them. Inference takes odometry as
 given and does not use that; to first order in the noise the posterior is what it would be with commands fixed before.
-For tests that need this to be exact, draw a path with :func:`pmcl.robots.simulate.simulate_path` from fixed odometry.
+For tests that need this to be exact, draw a path with :func:`pmcl.simulations.simulate.simulate_path` from fixed odometry.
 """
 
 from __future__ import annotations

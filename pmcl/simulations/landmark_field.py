@@ -12,10 +12,10 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.parameters import Parameter
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
-from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.effects import Affected, Given, affected_by
-from pmcl.robots.sightings import draw_sightings
-from pmcl.robots.simulate import draw_theta, make_rng
+from pmcl.simulations.driving import WaypointDriver, drive
+from pmcl.simulations.effects import Affected, Given, affected_by
+from pmcl.simulations.sightings import draw_sightings
+from pmcl.simulations.simulate import draw_theta, make_rng
 
 __all__ = ["simulate_landmark_field"]
 
@@ -108,7 +108,7 @@ def simulate_landmark_field(
             true_theta=affected.true_theta if affected and told else truth,
             attributes={"effects": affected.described()} if affected and told and effects else None,
             robot="robot in a landmark field (simulated)",
-            source=f"pmcl.robots.landmark_field, seed {seed}",
+            source=f"pmcl.simulations.landmark_field, seed {seed}",
             seed=seed,
             where="simulate_landmark_field",
             warn=False,  # half-made logs are no mistakes

@@ -25,7 +25,7 @@ from pmcl.models.effects.selection import check_values, parse_effect
 from pmcl.models.part import Part
 from pmcl.models.starts.belief import StartBelief
 from pmcl.models.tables import Tables
-from pmcl.robots.simulate import make_rng
+from pmcl.simulations.simulate import make_rng
 
 __all__ = ["Affected", "Given", "affected_by"]
 

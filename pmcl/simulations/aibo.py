@@ -14,10 +14,10 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.landmarks import LandmarkMap
 from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
-from pmcl.robots.driving import WaypointDriver, drive
-from pmcl.robots.effects import Affected, Given, affected_by, check_given
-from pmcl.robots.sightings import draw_sightings
-from pmcl.robots.simulate import check_run, draw_theta, make_rng
+from pmcl.simulations.driving import WaypointDriver, drive
+from pmcl.simulations.effects import Affected, Given, affected_by, check_given
+from pmcl.simulations.sightings import draw_sightings
+from pmcl.simulations.simulate import check_run, draw_theta, make_rng
 
 __all__ = ["AIBO_FIELD_OF_VIEW", "AIBO_LANDMARKS", "AIBO_SIZE_AT_ONE_METRE", "simulate_aibo"]
 
@@ -96,7 +96,7 @@ def simulate_aibo(
     that happens to one sighting in three million, with 0.4 to one in 160. Which landmarks are seen says something of
     the pose as well; the model of the paper does not use that.
 
-    The robot is steered from its true pose through waypoints, as :func:`pmcl.robots.amigobot.simulate_amigobot` is.
+    The robot is steered from its true pose through waypoints, as :func:`pmcl.simulations.amigobot.simulate_amigobot` is.
 
     References
     ----------
@@ -125,7 +125,7 @@ def simulate_aibo(
             true_theta=affected.true_theta if affected and told else truth,
             attributes={"effects": affected.described()} if affected and told and effects else None,
             robot="AIBO (simulated)",
-            source=f"pmcl.robots.aibo, seed {seed}",
+            source=f"pmcl.simulations.aibo, seed {seed}",
             seed=seed,
             where=where,
             warn=False,  # half-made logs are no mistakes

@@ -10,7 +10,7 @@ from pmcl.errors import ModelError
 from pmcl.geometry import between, wrap
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.diagnostics import summarize, verdict
-from pmcl.robots.aibo import AIBO_FIELD_OF_VIEW, AIBO_LANDMARKS, AIBO_SIZE_AT_ONE_METRE, simulate_aibo
+from pmcl.simulations.aibo import AIBO_FIELD_OF_VIEW, AIBO_LANDMARKS, AIBO_SIZE_AT_ONE_METRE, simulate_aibo
 
 NAMES = ("sigma_forward", "sigma_left", "sigma_turn", "sigma_bearing", "sigma_size")
 STANDARD_ERRORS = 5.0

@@ -13,11 +13,11 @@ from scipy import integrate, stats
 from pmcl.engine import contract
 from pmcl.engine.compile import entry
 from pmcl.filtering.kernels import smc
+from pmcl.filtering.one_step_ahead import predict_readings
 from pmcl.filtering.particle_filter import log_joint, make_rng, run_filter
-from pmcl.filtering.predictive import predict_readings
 from pmcl.models.robot_model import default_model
-from pmcl.robots.amigobot import simulate_amigobot
-from pmcl.robots.landmark_field import simulate_landmark_field
+from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -13,8 +13,9 @@ from pmcl.errors import ModelError
 from pmcl.geometry import compose, wrap
 from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.parameters import Parameter, gamma_prior
+from pmcl.models.sensor import sensor_of
 from pmcl.models.starts.table import GaussianStart
-from pmcl.robots.simulate import draw_theta, simulate_path, simulate_readings
+from pmcl.simulations.simulate import draw_theta, simulate_path
 
 N_ROWS = 4000
 STANDARD_ERRORS = 5.0
@@ -53,7 +54,7 @@ def beams_at(path, rng, **changes):
 def test_range_readings_have_the_density_of_the_kernel(rng, field):
     path = made_tables.poses_in_room(rng, N_ROWS)
     table = beams_at(path, rng)
-    drawn = simulate_readings(table, path, rng)
+    drawn = sensor_of(table).simulate(table, path, rng)
     assert abs(score(contract.path_reading_logpdf, drawn, field, path)) < STANDARD_ERRORS
     clipped = np.mean((drawn.reading == 0.0) | (drawn.reading == table.max_range))
     assert 0.02 < clipped < 0.6
@@ -64,17 +65,17 @@ def test_the_score_notices_a_wrong_simulator(rng):
     table = beams_at(path, rng)
     for field, change in (("bias", 0.1), ("std", 0.1), ("outlier_weight", 0.08)):
         wrong = table._replace(**{field: getattr(table, field) + change})
-        drawn = simulate_readings(wrong, path, rng)._replace(**{field: getattr(table, field)})
+        drawn = sensor_of(wrong).simulate(wrong, path, rng)._replace(**{field: getattr(table, field)})
         assert abs(score(contract.path_reading_logpdf, drawn, field, path)) > STANDARD_ERRORS
 
 
 def test_what_was_not_measured_stays_missing(rng):
     path = made_tables.poses_in_room(rng, 6)
     table = made_tables.range_beams(path, rng)
-    drawn = simulate_readings(table, path, rng)
+    drawn = sensor_of(table).simulate(table, path, rng)
     np.testing.assert_array_equal(np.isnan(drawn.reading), np.isnan(table.reading))
     sightings = made_tables.sightings(6, rng)
-    seen = simulate_readings(sightings, path, rng)
+    seen = sensor_of(sightings).simulate(sightings, path, rng)
     for name in ("range", "bearing", "size"):
         np.testing.assert_array_equal(np.isnan(getattr(seen, name)), np.isnan(getattr(sightings, name)))
 
@@ -89,9 +90,9 @@ def test_sightings_have_the_density_of_the_kernel(rng, field):
     table = made_tables.sightings(N_ROWS, rng, outliers=False)
     full = np.ones(table.time.size)
     table = table._replace(range=full, bearing=full, size=full, size_std=np.full(4, 0.2), bearing_std=np.full(4, 0.3))
-    drawn = simulate_readings(table, path, rng)
+    drawn = sensor_of(table).simulate(table, path, rng)
     assert abs(score(contract.path_reading_logpdf, drawn, field, path)) < STANDARD_ERRORS
-    wrong = simulate_readings(table._replace(**{field: 1.1 * getattr(table, field) + 0.02}), path, rng)
+    wrong = sensor_of(table).simulate(table._replace(**{field: 1.1 * getattr(table, field) + 0.02}), path, rng)
     wrong = wrong._replace(**{field: getattr(table, field)})
     assert abs(score(contract.path_reading_logpdf, wrong, field, path)) > STANDARD_ERRORS
 
@@ -102,8 +103,8 @@ def test_gross_errors_spoil_whole_sightings_at_their_rate(rng):
     full = np.ones(table.time.size)
     table = table._replace(range=full, bearing=full, size=full * np.nan, outlier_weight=np.full(4, 0.2))
     exact = {"range_std": np.full(4, 1e-9), "bearing_std": np.full(4, 1e-9)}
-    drawn = simulate_readings(table._replace(**exact), path, rng)
-    clean = simulate_readings(table._replace(**exact, outlier_weight=np.zeros(4)), path, rng)
+    drawn = sensor_of(table).simulate(table._replace(**exact), path, rng)
+    clean = sensor_of(table).simulate(table._replace(**exact, outlier_weight=np.zeros(4)), path, rng)
     bad_range = np.abs(drawn.range - clean.range) > 1e-6
     bad_bearing = np.abs(wrap(drawn.bearing - clean.bearing)) > 1e-6
     np.testing.assert_array_equal(bad_range, bad_bearing)
@@ -160,7 +161,7 @@ def test_a_motion_of_ones_own_is_simulated_by_its_own_kernel(rng):
 
 def test_a_sensor_of_ones_own_is_asked_for(rng):
     with pytest.raises(ModelError, match="Drift"):
-        simulate_readings(Drift(np.zeros(2)), np.zeros((2, 3)), rng)
+        sensor_of(Drift).simulate(Drift(np.zeros(2)), np.zeros((2, 3)), rng)
 
 
 PARAMETERS = (Parameter("sigma_a", "m", gamma_prior(0.1)), Parameter("sigma_b", "m", gamma_prior(0.2)))

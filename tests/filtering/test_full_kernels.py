@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 from oracles import made_tables
-from pmcl.models.rich_tables import rich_beams, rich_landmarks, rich_motion, wandering_motion
 from scipy import integrate, stats
 
 from pmcl.engine import contract
 from pmcl.engine.compile import entry
+from pmcl.engine.tables import with_extras, with_fields
 from pmcl.filtering.kernels import smc
 from pmcl.models.sensors.range_beams.table import ring_neighbours
 from pmcl.models.starts.table import WiderStart, wider_start
@@ -52,7 +52,7 @@ def along(table, path):
 def everything(beams, rng):
     """Beams with all effects at once."""
     n_steps, n_beams = beams.reading.shape
-    return rich_beams(beams)._replace(
+    return with_fields(beams, dict(
         bias_at=rng.normal(0.0, 0.1, (n_steps, n_beams)),
         std_factor=rng.uniform(0.5, 2.0, n_steps),
         growth=rng.uniform(0.0, 0.5, n_beams),
@@ -67,7 +67,7 @@ def everything(beams, rng):
         correlation=rng.uniform(-0.3, 0.8, n_beams),
         lag=rng.uniform(-0.2, 0.6, n_steps),
         obstacles=np.array([[1.5, 1.0, 0.3, 0.4], [2.5, 0.7, 0.4, 0.6]]),
-    )
+    ))
 
 
 ALONE = {
@@ -88,12 +88,12 @@ ALONE = {
 
 
 def rounded_or_not(beams, name, rng):
-    rich = rich_beams(beams)
+    rich = with_extras(beams)
     if name == "everything":
         return everything(beams, rng)
     if name == "everything rounded":
-        return everything(beams, rng)._replace(step=0.2)
-    return rich._replace(**ALONE[name](*beams.reading.shape))
+        return with_fields(everything(beams, rng), {"step": 0.2})
+    return with_fields(beams, ALONE[name](*beams.reading.shape))
 
 
 BEAM_CASES = pytest.mark.parametrize("name", [*ALONE, "everything", "everything rounded"])
@@ -102,9 +102,9 @@ BEAM_CASES = pytest.mark.parametrize("name", [*ALONE, "everything", "everything 
 def test_beams_at_their_nulls_are_plain(rng):
     states = made_tables.poses_in_room(rng, 30)
     beams = made_tables.range_beams(states, rng)
-    np.testing.assert_allclose(along(rich_beams(beams), states), along(beams, states), rtol=1e-12, atol=1e-12)
-    assert rich_beams(rich_beams(beams)).reading is beams.reading
-    assert not contract.looks_back(rich_beams(beams))
+    np.testing.assert_allclose(along(with_extras(beams), states), along(beams, states), rtol=1e-12, atol=1e-12)
+    assert with_extras(with_extras(beams)).reading is beams.reading
+    assert not contract.looks_back(with_extras(beams))
 
 
 @BEAM_CASES
@@ -228,7 +228,7 @@ def test_neighbours_are_those_by_direction():
 
 
 def far_tables(rng, **changes):
-    motion = rich_motion(made_tables.increment_motion(rng))
+    motion = with_extras(made_tables.increment_motion(rng))
     return motion._replace(**changes)
 
 
@@ -273,7 +273,7 @@ def step_logpdf(motion, t, before, after):
 def test_transitions_have_the_density_of_their_definition(name, wanders, compiled, rng):
     motion = far_tables(rng, **MOTIONS[name])
     if wanders:
-        motion = wandering_motion(motion)._replace(wander=np.full(6, 0.3), keep=np.full(6, 0.8))
+        motion = with_fields(motion, dict(wander=np.full(6, 0.3), keep=np.full(6, 0.8)))
     size = 4 if wanders else 3
     before = np.array([0.5, -0.3, 2.0, 0.7])[:size] + rng.normal(0.0, 0.3, (9, size))
     after = before[4] + rng.normal(0.0, 0.3, size)
@@ -297,9 +297,9 @@ def test_motion_at_its_nulls_is_plain(rng):
     plain, path = made_tables.increment_motion(rng), np.cumsum(rng.normal(0.0, 0.3, (6, 3)), axis=0)
     columns = np.ascontiguousarray(path.T)[None]
     expected = smc.motion_terms(start_of(3), plain, columns)[0]
-    np.testing.assert_allclose(smc.motion_terms(start_of(3), rich_motion(plain), columns)[0], expected, rtol=1e-12)
+    np.testing.assert_allclose(smc.motion_terms(start_of(3), with_extras(plain), columns)[0], expected, rtol=1e-12)
     # A fourth component that nothing depends on is integrated out to nothing.
-    wandering = wandering_motion(plain)._replace(keep=np.full(6, 0.9))
+    wandering = with_fields(plain, dict(keep=np.full(6, 0.9)))
     np.testing.assert_allclose(smc.motion_terms(start_of(4), wandering, columns)[0], expected, rtol=1e-12)
 
 
@@ -308,7 +308,7 @@ def test_a_wandering_turn_rate_is_integrated_out_exactly(rng):
     n = 12
     plain = made_tables.increment_motion(rng, n)
     keep, wander = rng.uniform(0.6, 0.95, n), rng.uniform(0.1, 0.5, n)
-    motion = wandering_motion(plain)._replace(keep=keep, wander=wander)
+    motion = with_fields(plain, dict(keep=keep, wander=wander))
     path = np.cumsum(rng.normal(0.0, 0.3, (n, 3)), axis=0)
     # u[0] is standard normal; turn t follows u[t - 1].
     covariance_u = np.eye(n)
@@ -330,7 +330,7 @@ def test_a_wandering_turn_rate_is_integrated_out_exactly(rng):
 def test_drawn_steps_have_the_transition_density(name, compiled, rng):
     """Importance weights against the plain motion with wider noise have mean one; and moments agree."""
     n = 40_000 if compiled else 4_000
-    motion = wandering_motion(far_tables(rng, **MOTIONS[name]))._replace(wander=np.full(6, 0.3), keep=np.full(6, 0.8))
+    motion = with_fields(far_tables(rng, **MOTIONS[name]), dict(wander=np.full(6, 0.3), keep=np.full(6, 0.8)))
     before = np.repeat(np.array([[0.5], [-0.3], [2.2], [0.9]]), n, axis=1)
     current = np.empty((4, n))
     function = compiled_propagate if compiled else contract.propagate
@@ -374,7 +374,7 @@ def test_wider_starts(rng):
 
 
 def rich_sightings(n_steps, rng, **changes):
-    seen = rich_landmarks(made_tables.sightings(n_steps, rng))
+    seen = with_extras(made_tables.sightings(n_steps, rng))
     full = {
         "lag": rng.uniform(-0.2, 0.5, n_steps),
         "range_growth": rng.uniform(0.0, 0.4, 4),
@@ -489,9 +489,9 @@ def test_sightings_have_the_density_of_their_definition(compiled, rng):
 def test_sightings_at_their_nulls_are_plain(rng):
     path = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (6, 3))
     seen = made_tables.sightings(6, rng)
-    np.testing.assert_allclose(along(rich_landmarks(seen), path), along(seen, path), rtol=1e-9)
-    assert not contract.looks_back(rich_landmarks(seen))
-    assert contract.looks_back(rich_landmarks(seen)._replace(bearing_correlation=np.array([0.0, 0.0, 0.0, 0.5])))
+    np.testing.assert_allclose(along(with_extras(seen), path), along(seen, path), rtol=1e-9)
+    assert not contract.looks_back(with_extras(seen))
+    assert contract.looks_back(with_fields(seen, dict(bearing_correlation=np.array([0.0, 0.0, 0.0, 0.5]))))
 
 
 @pytest.mark.parametrize("changes", [{}, {"misread_weight": np.zeros(4)}])

@@ -1,0 +1,32 @@
+"""Robots that exist only as numbers: simulators that log as the real ones do, with the truth beside.
+
+:mod:`~pmcl.simulations.simulate` draws paths and readings from coefficient tables, the exact counterpart of the densities in
+:mod:`pmcl.filtering.kernels`; :mod:`~pmcl.simulations.amigobot` and
+:mod:`~pmcl.simulations.aibo` are the paper's robots and :mod:`~pmcl.simulations.landmark_field` a plain case for tests and
+benchmarks. Their logs go wherever recorded logs go.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.simulations.aibo import simulate_aibo
+    from pmcl.simulations.amigobot import simulate_amigobot
+    from pmcl.simulations.landmark_field import simulate_landmark_field
+
+__all__ = [
+    "simulate_aibo",
+    "simulate_amigobot",
+    "simulate_landmark_field",
+]
+
+_HOMES = {
+    "simulate_aibo": "pmcl.simulations.aibo",
+    "simulate_amigobot": "pmcl.simulations.amigobot",
+    "simulate_landmark_field": "pmcl.simulations.landmark_field",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)
