@@ -17,12 +17,24 @@ __all__ = ["compile_for_calibration", "compile_for_criticism"]
 
 
 def compile_for_calibration(tables: Tables) -> None:
-    """Begin to compile what a calibration with such tables needs; return at once."""
+    """Begin to compile what a calibration with such tables needs; return at once.
+
+    Parameters
+    ----------
+    tables : Tables
+        Tables of any theta: only their types count.
+    """
     compile_ahead([*_sampling(tables), *_filtering(tables)[:2]])
 
 
 def compile_for_criticism(tables: Tables) -> None:
-    """Begin to compile what the criticism of a model with such tables needs; return at once."""
+    """Begin to compile what the criticism of a model with such tables needs; return at once.
+
+    Parameters
+    ----------
+    tables : Tables
+        Tables of any theta: only their types count. Those with extras, which candidates of effects need, follow them.
+    """
     moved = tables._replace(motion=with_extras(tables.motion))
     full = uniform(tables._replace(sensors=tuple(with_extras(sensor) for sensor in tables.sensors)))
     filtering = _filtering(tables)

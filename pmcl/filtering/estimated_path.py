@@ -35,7 +35,19 @@ _PATHS = 20
 
 
 def plausible_theta(bound: BoundModel, rng: np.random.Generator) -> Float:
-    """Return a multiple of the prior mean (d,) under which the filter foresees the log best.
+    """Return a multiple of the prior mean under which the filter foresees the log best.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model, bound to one log.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray, shape (d,)
+        Parameters; only standard deviations are multiplied.
 
     Raises
     ------

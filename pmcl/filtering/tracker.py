@@ -155,35 +155,51 @@ class Tracker:
     def run_until_lost(
         self, begin: int, end: int, counts: Int, rng: np.random.Generator, what: str
     ) -> tuple[Beliefs, int]:
-        """Do the same as :meth:`run`, but return the row at which every particle got weight zero, or -1.
+        """Do the same as :meth:`run`, but do not raise when the filter loses the robot.
 
-        From that row on the beliefs are NaN.
+        Parameters
+        ----------
+        begin, end, counts, rng, what
+            As for :meth:`run`.
+
+        Returns
+        -------
+        beliefs : Beliefs
+            NaN from the row on at which the robot was lost.
+        row : int
+            That row, at which every particle got weight zero; -1 where there is none.
+
+        Raises
+        ------
+        FilterError
+            When a density is not a number.
         """
         n_rows = end - begin
         mean, covariance = np.full((n_rows, self.size), np.nan), np.full((n_rows, self.size, self.size), np.nan)
-        told = np.full((n_rows, 3), np.nan)
+        # For each row: log score, effective sample size, number of particles.
+        summary = np.full((n_rows, 3), np.nan)
         row, status = begin - 1, FINE
         while row < end - 1 and status == FINE:
             status, row = track.localize_rows(
                 self.tables, self.stack, self.options, begin, row + 1, end, counts, rng, self._state,
-                mean, covariance, told,
+                mean, covariance, summary,
             )  # fmt: skip
             i = row - begin
             if status == track.START_UNKNOWN:
                 status = recovery.first_reading(
-                    self.tables, self.stack, self.options, row, rng, self._state, mean[i], covariance[i], told[i]
+                    self.tables, self.stack, self.options, row, rng, self._state, mean[i], covariance[i], summary[i]
                 )
             elif status == track.SOMEWHERE_ELSE:
                 status = recovery.look_elsewhere(
                     self.tables, self.stack, self.anywhere, self.options, row, rng, self._state,
-                    mean[i], covariance[i], told[i],
+                    mean[i], covariance[i], summary[i],
                 )  # fmt: skip
         if status == NOT_A_NUMBER:
             raise FilterError(
                 f"{what}: at row {row} a density is not a number; check the coefficient tables of the model at that row"
             )
-        told[row + 1 - (status == ALL_ZERO) - begin :] = np.nan
-        return Beliefs(mean, covariance, told[:, 0], told[:, 1], told[:, 2]), row if status == ALL_ZERO else -1
+        summary[row + 1 - (status == ALL_ZERO) - begin :] = np.nan
+        return Beliefs(mean, covariance, summary[:, 0], summary[:, 1], summary[:, 2]), row if status == ALL_ZERO else -1
 
     def particles(self) -> tuple[Float, Float]:
         """Return copies of the states (D, n) and their normalised weights (n,) after the last row."""
