@@ -1,24 +1,25 @@
 """What installed packages add to pmcl: sensors, motion models and effects, found by their entry points.
 
-pmcl's own sensors and motion models are registered in the same way, by the table below: generic code asks this registry
-and lists no sensor. An installed package adds one with an entry point. In its pyproject.toml it says, for example,
-``[project.entry-points."pmcl.sensors"]`` and below ``compass = "my_package.compass:Compass"``. A script or a notebook
-calls :func:`register` instead.
+pmcl's own sensors and motion models stand in the tables below, and generic code asks this registry for them as for any
+other: it lists no sensor by name. An installed package adds one with an entry point. In its pyproject.toml it says, for
+example, ``[project.entry-points."pmcl.sensors"]`` and below ``compass = "my_package.compass:Compass"``. A script or a
+notebook calls :func:`register` instead.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib
-from importlib.metadata import entry_points
-from typing import Any
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, NamedTuple
 
 from pmcl.errors import ModelError
 
-__all__ = ["EFFECTS", "MOTIONS", "SENSORS", "register", "registered"]
+__all__ = ["EFFECTS", "MOTIONS", "SENSORS", "origin", "register", "registered", "sensor_variables"]
 
 SENSORS, MOTIONS, EFFECTS = "pmcl.sensors", "pmcl.motions", "pmcl.effects"
-"""Groups of entry points: classes of sensors, classes of motion models, and effects."""
+"""Groups of entry points: classes of sensors, classes of motion models, and effects or sequences of effects."""
 
 _OWN: dict[str, dict[str, str]] = {
     SENSORS: {
@@ -32,30 +33,80 @@ _OWN: dict[str, dict[str, str]] = {
     EFFECTS: {},
 }
 
+# What the sensors above are in a log, without their models: reading a log needs no compiler and no statistics.
+_OWN_VARIABLES: dict[str, str] = {
+    "range": "pmcl.models.sensors.range_beams.log_variables:RangeVariables",
+    "landmarks": "pmcl.models.sensors.landmarks.log_variables:LandmarkVariables",
+}
+
+
+class _Kind(NamedTuple):
+    """What a group may hold: in words, and a test of a value."""
+
+    words: str
+    holds: Callable[[Any], bool]
+
+
+_KINDS: dict[str, _Kind] = {
+    SENSORS: _Kind(
+        "a class that derives from pmcl.models.Sensor", lambda value: isinstance(value, type) and _has_variables(value)
+    ),
+    MOTIONS: _Kind("a class of motion models", lambda value: isinstance(value, type)),
+    EFFECTS: _Kind("an effect or a sequence of effects", lambda value: not isinstance(value, type)),
+}
+
 _added: dict[str, dict[str, Any]] = {SENSORS: {}, MOTIONS: {}, EFFECTS: {}}
 
 
+def _has_variables(value: type) -> bool:
+    return hasattr(value, "variables") and hasattr(value, "count")
+
+
+def _imported(place: str) -> Any:
+    module, attribute = place.split(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
 @functools.cache
-def _installed(group: str) -> dict[str, Any]:
-    """Return pmcl's own objects of a group, then those of installed packages."""
-    found = {}
-    for name, place in _OWN[group].items():
-        module, attribute = place.split(":")
-        found[name] = getattr(importlib.import_module(module), attribute)
+def _own(group: str) -> dict[str, Any]:
+    return {name: _imported(place) for name, place in _OWN[group].items()}
+
+
+@functools.cache
+def _own_variables() -> dict[str, Any]:
+    return {name: _imported(place) for name, place in _OWN_VARIABLES.items()}
+
+
+@functools.cache
+def _of_packages(group: str) -> dict[str, Any]:
+    """Return the objects that installed packages register in a group."""
+    found: dict[str, Any] = {}
     for point in entry_points(group=group):
-        if point.name in found:
+        where = f"{group}, {_described(point)}"
+        if point.name in _OWN[group]:
             raise ModelError(
-                f"{group}: expected another name than '{point.name}', which pmcl itself has, but {point.value} is "
+                f"{where}: expected another name than '{point.name}', which pmcl itself has, but {point.value} is "
                 "registered by it; rename the entry point"
             )
         try:
-            found[point.name] = point.load()
+            value = point.load()
         except Exception as problem:
+            reason = " ".join(f"{type(problem).__name__}: {problem}".split())
             raise ModelError(
-                f"{group}: expected that {point.value} can be imported, but got '{problem}'; repair or uninstall the "
-                "package that registers it"
+                f"{where}: expected {_KINDS[group].words}, but loading {point.value} failed ({reason}); "
+                "repair or remove that package"
             ) from problem
+        if not _KINDS[group].holds(value):
+            raise ModelError(
+                f"{where}: expected {_KINDS[group].words}, but {point.value} is a {type(value).__name__}; "
+                "repair or remove that package"
+            )
+        found[point.name] = value
     return found
+
+
+def _described(point: EntryPoint) -> str:
+    return f"entry point '{point.name}' of {point.dist.name if point.dist is not None else 'a package'}"
 
 
 def registered(group: str) -> dict[str, Any]:
@@ -69,14 +120,39 @@ def registered(group: str) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        By name, pmcl's own first, in the order in which they were registered.
+        By name, pmcl's own first, then those of installed packages, then those of this process.
 
     Raises
     ------
     ModelError
-        When an installed package registers something that cannot be imported.
+        When an installed package registers something that cannot be used.
     """
-    return {**_installed(group), **_added[group]}
+    return {**_own(group), **_of_packages(group), **_added[group]}
+
+
+def sensor_variables() -> dict[str, Any]:
+    """Return what each registered sensor is in a log, by the sensor's name.
+
+    Returns
+    -------
+    dict of str to type
+        Classes that derive from :class:`pmcl.logs.sensor_variables.SensorVariables`, in the order of
+        :func:`registered`. pmcl's own are loaded without their models.
+
+    Raises
+    ------
+    ModelError
+        When an installed package registers something that is no sensor.
+    """
+    return {**_own_variables(), **_of_packages(SENSORS), **_added[SENSORS]}
+
+
+def origin(group: str, name: str) -> str:
+    """Return where a registered object comes from, for messages."""
+    for point in entry_points(group=group):
+        if point.name == name:
+            return _described(point)
+    return f"'{name}' of group {group}"
 
 
 def register(group: str, name: str, value: Any) -> None:
@@ -94,8 +170,10 @@ def register(group: str, name: str, value: Any) -> None:
     Raises
     ------
     ModelError
-        When pmcl itself or an installed package has the name.
+        When pmcl itself or an installed package has the name, or the group holds objects of another kind.
     """
-    if name in _installed(group):
+    if name in _OWN[group] or name in _of_packages(group):
         raise ModelError(f"{group}: expected a new name, but '{name}' is registered already; choose another")
+    if not _KINDS[group].holds(value):
+        raise ModelError(f"{group}, '{name}': expected {_KINDS[group].words}, but got a {type(value).__name__}")
     _added[group][name] = value

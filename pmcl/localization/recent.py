@@ -12,7 +12,7 @@ from pmcl.errors import LogError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.schema import readings, variables
 from pmcl.maps.arrays import as_numbers
-from pmcl.registry import SENSORS, registered
+from pmcl.registry import sensor_variables
 
 __all__ = ["RecentRows"]
 
@@ -127,7 +127,7 @@ class RecentRows(RobotLog):
     def readings_of_last_row(self) -> int:
         """Return the number of readings of the latest row."""
         total = 0
-        for sensor in registered(SENSORS).values():
+        for sensor in sensor_variables().values():
             held = {name: self._rows[name][-1:] for name in sensor.readings() if name in self._rows}
             if held:
                 total += int(sensor.count(held)[0])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pmcl.logs.schema import FORMAT, REFERENCE, variables
 from pmcl.maps.landmarks import LandmarkMap
 from pmcl.maps.walls import WallMap
-from pmcl.registry import SENSORS, registered
+from pmcl.registry import sensor_variables
 
 __all__ = ["LogArrays", "landmark_names"]
 
@@ -58,7 +58,7 @@ class LogArrays:
     def readings_of_rows(self) -> NDArray[np.int64]:
         """Return the number of readings of all sensors in each row, (T,)."""
         total = np.zeros(self.n_steps, dtype=np.int64)
-        for sensor in registered(SENSORS).values():
+        for sensor in sensor_variables().values():
             held = {name: self.variable(name) for name in sensor.readings()}
             held = {name: values for name, values in held.items() if values is not None}
             if held:
@@ -206,9 +206,9 @@ class LogArrays:
         """
         names = [name for name in variables() if name in self.dataset and name not in REFERENCE]
         seen = {name: self.dataset[name].values for name in names}
-        seen |= {"odometry": self.odometry, "landmark_sensor_pose": self.landmark_sensor_pose}
-        seen["max_range"] = np.array(self.max_range)
-        seen["size_at_one_metre"] = np.array(np.nan if self.size_at_one_metre is None else self.size_at_one_metre)
+        seen["odometry"] = self.odometry
+        for sensor in sensor_variables().values():
+            seen |= sensor.settings(self)
         digest = hashlib.sha256(FORMAT.encode())
         for name, values in sorted(seen.items()):
             # One spelling for every NaN and for both zeros.

@@ -28,8 +28,8 @@ def assemble(
     arrays : mapping
         From variable names of the format to arrays of the documented shapes; None leaves a variable out.
     attributes : mapping
-        Attributes of the log; ``max_range`` goes to the ranges and ``size_at_one_metre`` to the landmark sizes. None
-        leaves an attribute out.
+        Attributes of the log. One that a variable declares, such as ``max_range`` of the ranges, goes to that
+        variable. None leaves an attribute out.
     where : str
         The call, for messages.
     landmark_names : sequence of str, optional
@@ -46,10 +46,12 @@ def assemble(
         When an array has no numbers, another number of axes, or disagrees with another about a shared size.
     """
     attrs = {"format": FORMAT, **{key: value for key, value in attributes.items() if value is not None}}
-    of_variables = {name: attrs.pop(name) for name in ("max_range", "size_at_one_metre") if name in attrs}
+    known = variables()
+    owners = {attribute: name for name, variable in known.items() for attribute in variable.attributes}
+    of_variables = {name: attrs.pop(name) for name in owners if name in attrs}
     sizes: dict[str, tuple[int, str]] = {dim: (len(labels), "the format") for dim, labels in LABELS.items()}
     found: dict[str, tuple[tuple[str, ...], NDArray[np.float64], dict[str, object]]] = {}
-    for name, variable in variables().items():
+    for name, variable in known.items():
         value = arrays.get(name)
         if value is None:
             continue
@@ -61,17 +63,17 @@ def assemble(
         if array.ndim != len(variable.dims):
             fail(where, f"expected '{name}' of shape ({shape}), got {array.shape}: reshape it")
         for dim, size in zip(variable.dims, array.shape, strict=True):
-            known, source = sizes.setdefault(dim, (size, f"'{name}'"))
-            if size != known:
+            expected, source = sizes.setdefault(dim, (size, f"'{name}'"))
+            if size != expected:
                 fail(
                     where,
-                    f"expected {known} along '{dim}' in '{name}' ({shape}) because of {source}, got {size}: "
+                    f"expected {expected} along '{dim}' in '{name}' ({shape}) because of {source}, got {size}: "
                     "make both agree",
                 )
         found[name] = (variable.dims, array, {"units": variable.units, "long_name": variable.long_name})
-    for name, owner in (("max_range", "range"), ("size_at_one_metre", "landmark_size")):
-        if owner in found and name in of_variables:
-            found[owner][2][name] = of_variables[name]
+    for attribute, value in of_variables.items():
+        if owners[attribute] in found:
+            found[owners[attribute]][2][attribute] = value
     coords: dict[str, object] = {}
     if landmark_names:
         coords["landmark"] = list(landmark_names)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.finding import Finding
+from pmcl.logs.sensor_variables import ReadingSeries
+from pmcl.registry import sensor_variables
 
 __all__ = ["implausible", "without_map"]
 
@@ -35,8 +37,6 @@ _STUCK_ROWS, _CHANCE = 10, 1e-6
 _STUCK_TURN, _STUCK_DISTANCE = 1.0, 0.5
 # Rows are repeated when that happens so many times as often as by rounding.
 _TIMES_CHANCE = 10.0
-# No room is so much smaller than the reach of the sensor that is used in it.
-_REACH_TO_MAP = 50.0
 
 
 def implausible(log: LogArrays) -> tuple[Finding, ...]:
@@ -55,8 +55,9 @@ def implausible(log: LogArrays) -> tuple[Finding, ...]:
     if log.n_steps < 2:
         return ()
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        checks = (_times, _speed, _turns, _zeros, _stuck, _stale, _all_at_max_range, _reach, _beam_yaws)
-        return tuple(finding for check in checks for finding in check(log))
+        general = [finding for check in (_times, _speed, _turns, _stuck, _stale) for finding in check(log)]
+        of_sensors = [finding for sensor in sensor_variables().values() for finding in sensor.implausible(log)]
+    return (*general, *of_sensors)
 
 
 def without_map(log: LogArrays) -> tuple[Finding, ...]:
@@ -123,52 +124,17 @@ def _turns(log: LogArrays) -> Iterator[Finding]:
         )
 
 
-def _zeros(log: LogArrays) -> Iterator[Finding]:
-    """Landmark readings of exactly zero, far more often than any other number: a continuous reading never does that."""
-    channels = (
-        ("range", log.landmark_range),
-        ("bearing", log.landmark_bearing),
-        ("size", log.landmark_size),
-    )
-    for name, values in channels:
-        if values is None:
-            continue
-        seen = values[~np.isnan(values)]
-        n_zeros = int(np.count_nonzero(seen == 0.0))
-        if n_zeros < 3 or n_zeros < 0.02 * seen.size:
-            continue
-        _, counts = np.unique(seen[seen != 0.0], return_counts=True)
-        if counts.size and n_zeros < 10 * int(counts.max()):
-            continue
-        yield Finding(
-            "zero-for-not-seen",
-            "implausible",
-            True,
-            f"{n_zeros} of {seen.size} readings of landmark {name} are exactly 0: write NaN where nothing was seen",
-        )
-
-
-def _channels(log: LogArrays) -> Iterator[tuple[str, int, Float]]:
-    """Yield sensor, number and readings (T,) of each beam and each landmark's channel.
-
-    Zero, no echo, and the greatest distance that the sensor tells of landmarks are NaN: sensors clip there.
-    """
-    if log.ranges is not None:
-        sound = np.where((log.ranges > 0.0) & (log.ranges < log.max_range), log.ranges, np.nan)
-        for k, values in enumerate(sound.T):
-            yield "beam", k, values
-    for name, table in (("range", log.landmark_range), ("bearing", log.landmark_bearing), ("size", log.landmark_size)):
-        if table is not None:
-            clipped = (table == 0.0) | ((table == np.nanmax(table, initial=0.0)) & (name == "range"))
-            for k, values in enumerate(np.where(clipped, np.nan, table).T):
-                yield f"{name} of landmark", k, values
+def _series(log: LogArrays) -> Iterator[ReadingSeries]:
+    """Yield the readings of each channel of each sensor."""
+    for sensor in sensor_variables().values():
+        yield from sensor.series(log)
 
 
 def _stuck(log: LogArrays) -> Iterator[Finding]:
     distance, turn, _ = _moves(log)
     travelled = np.append(0.0, np.cumsum(distance))
     turned = np.append(0.0, np.cumsum(turn))
-    for name, number, values in _channels(log):
+    for name, values in _series(log):
         rows = np.flatnonzero(~np.isnan(values))
         if rows.size < _STUCK_ROWS:
             continue
@@ -183,7 +149,7 @@ def _stuck(log: LogArrays) -> Iterator[Finding]:
                 "stuck-sensor",
                 "implausible",
                 True,
-                f"{name} {number} reads {values[run[0]]:.6g} in {len(run)} readings on end, rows {run[0]} to "
+                f"{name} reads {values[run[0]]:.6g} in {len(run)} readings on end, rows {run[0]} to "
                 f"{run[-1]}, while the robot drives {far[0]:.2g} m and turns {far[1]:.2g} rad: remove what a stuck "
                 "sensor wrote (NaN: not measured)",
             )
@@ -205,7 +171,7 @@ def _beyond_chance(runs: list[NDArray[np.int64]], longest: int) -> bool:
 
 def _stale(log: LogArrays) -> Iterator[Finding]:
     """Whole rows of readings that are repeated bit for bit while the robot moves."""
-    channels = [values for _, _, values in _channels(log)]
+    channels = [values for _, values in _series(log)]
     if not channels:
         return
     table = np.stack(channels, axis=1)
@@ -228,49 +194,4 @@ def _stale(log: LogArrays) -> Iterator[Finding]:
             True,
             f"{n_same} of {n_rows} rows repeat all readings of the row before while the robot moves, first row {row}: "
             "write NaN where nothing new was measured",
-        )
-
-
-def _all_at_max_range(log: LogArrays) -> Iterator[Finding]:
-    if log.ranges is None:
-        return
-    measured = ~np.isnan(log.ranges)
-    if measured.sum() >= 10 and (log.ranges[measured] >= log.max_range).mean() > 0.98:
-        finite = log.ranges[np.isfinite(log.ranges)]
-        shortest = f", the shortest {finite.min():.4g}" if finite.size else ""
-        yield Finding(
-            "all-at-max-range",
-            "implausible",
-            True,
-            f"nearly all {measured.sum()} range readings are at or beyond max_range = {log.max_range:g} m{shortest}: "
-            "check the units of readings and max_range",
-        )
-
-
-def _reach(log: LogArrays) -> Iterator[Finding]:
-    if log.ranges is None or log.walls is None:
-        return
-    x_low, x_high, y_low, y_high = log.walls.bounds
-    longest = float(np.hypot(x_high - x_low, y_high - y_low))
-    if log.max_range > _REACH_TO_MAP * longest:
-        yield Finding(
-            "max-range-too-long",
-            "implausible",
-            False,
-            f"max_range is {log.max_range:g} m, but the walls are nowhere further apart than {longest:.3g} m: "
-            "check that both are in metres",
-        )
-
-
-def _beam_yaws(log: LogArrays) -> Iterator[Finding]:
-    if log.beam_poses is None or len(log.beam_poses) < 4:
-        return
-    yaws = log.beam_poses[:, 2]
-    if any(np.array_equal(yaws, np.arange(len(yaws)) + first) for first in (0, 1)):
-        yield Finding(
-            "beam-yaws-are-indices",
-            "implausible",
-            True,
-            f"the yaws of the {len(yaws)} beams are {yaws[0]:g}, {yaws[1]:g}, ... {yaws[-1]:g} rad: these seem to be "
-            "the beams' numbers; give the direction of each beam in radians",
         )

@@ -1,13 +1,13 @@
 """The variables of a robot log: names, dimensions, units.
 
-Every log has the variables that are declared here; each sensor declares its own (:mod:`pmcl.models.sensor`).
+Every log has the variables that are declared here; each sensor declares its own (:mod:`pmcl.logs.sensor_variables`).
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from pmcl.registry import SENSORS, registered
+from pmcl.registry import sensor_variables
 
 __all__ = [
     "FORMAT",
@@ -38,6 +38,8 @@ class Variable(NamedTuple):
         Smallest possible reading; None where any number is possible.
     may_be_infinite : bool
         Whether an infinite reading has a meaning, such as "no echo".
+    attributes : tuple of str
+        Attributes of the variable that a log needs or may have, e.g. ``("max_range",)``.
     """
 
     dims: tuple[str, ...]
@@ -46,6 +48,7 @@ class Variable(NamedTuple):
     is_reading: bool = False
     minimum: float | None = None
     may_be_infinite: bool = False
+    attributes: tuple[str, ...] = ()
 
 
 _GENERAL: dict[str, Variable] = {
@@ -67,7 +70,7 @@ def variables() -> dict[str, Variable]:
         In the order in which checks and files name them.
     """
     of_sensors: dict[str, Variable] = {}
-    for sensor in registered(SENSORS).values():
+    for sensor in sensor_variables().values():
         of_sensors |= sensor.variables
     return {"time": _GENERAL["time"], "odometry": _GENERAL["odometry"], **of_sensors, **_GENERAL}
 

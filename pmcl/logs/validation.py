@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NoReturn
 
 import numpy as np
@@ -18,9 +18,9 @@ from pmcl.errors import LogError, MapError
 from pmcl.logs.schema import FORMAT, LABELS, Variable, readings, variables
 from pmcl.maps.arrays import as_numbers
 from pmcl.maps.walls import WallMap
-from pmcl.registry import SENSORS, registered
+from pmcl.registry import sensor_variables
 
-__all__ = ["ONE_TURN", "check_readings", "fail", "positive_number", "require_finite", "validated"]
+__all__ = ["ONE_TURN", "fail", "positive_number", "require_finite", "validated"]
 
 Float = NDArray[np.float64]
 
@@ -67,7 +67,8 @@ def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
     names = readings()
     if not any(name in dataset for name in names):
         fail(where, f"expected at least one of {', '.join(names)}, got none: add what the sensors measured")
-    for sensor in registered(SENSORS).values():
+    for sensor in sensor_variables().values():
+        _check_readings(dataset, sensor.variables, where)
         sensor.check(dataset, where)
     walls = _checked_walls(dataset, where)
     _check_start(dataset, walls, where)
@@ -131,27 +132,6 @@ def _check_time_and_odometry(dataset: xr.Dataset, where: str) -> None:
             "fill the gap or cut the log there",
         )
 
-
-
-
-
-
-
-
-def _check_bearings(dataset: xr.Dataset, where: str) -> None:
-    bad = np.argwhere(np.abs(dataset["landmark_bearing"].values) > ONE_TURN)
-    if len(bad):
-        row, j = (int(i) for i in bad[0])
-        fail(
-            where,
-            f"expected 'landmark_bearing' within one turn (+-2 pi rad), got "
-            f"{dataset['landmark_bearing'].values[row, j]:g} in row {row} (time {dataset['time'].values[row]:.9g} s), "
-            f"landmark {j}: convert degrees to radians, or bring angles into one turn",
-        )
-
-
-
-
 def _checked_walls(dataset: xr.Dataset, where: str) -> WallMap | None:
     if "wall" not in dataset:
         return None
@@ -200,6 +180,22 @@ def positive_number(stated: ArrayLike | None) -> float | None:
 
 
 def require_finite(dataset: xr.Dataset, name: str, where: str) -> None:
+    """Check that all numbers of a variable are finite.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A log that has the variable.
+    name : str
+        The variable.
+    where : str
+        File or call, for messages.
+
+    Raises
+    ------
+    LogError
+        With the first number that is not, and its place.
+    """
     values = dataset[name].values
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
@@ -208,34 +204,14 @@ def require_finite(dataset: xr.Dataset, name: str, where: str) -> None:
         fail(where, f"expected finite '{name}' [{variables()[name].units}], got {values[at]} at [{index}]: correct it")
 
 
-def check_readings(
-    dataset: xr.Dataset, declared: Mapping[str, Variable], where: str, also_finite: Sequence[str] = ()
-) -> None:
-    """Check readings against what their variables declare: the smallest possible one, and whether inf has a meaning.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        A log.
-    declared : mapping of str to Variable
-        A sensor's variables; only those that hold readings are looked at.
-    where : str
-        File or call, for messages.
-    also_finite : sequence of str
-        Further variables (time, ...) that must be finite where they are not NaN.
-
-    Raises
-    ------
-    LogError
-        With variable, row and place of the first impossible reading.
-    """
-    held = [name for name, variable in declared.items() if variable.is_reading and name in dataset]
-    for name in held:
-        least = declared[name].minimum
-        if least is not None:
-            _require_at_least(dataset, name, least, declared[name], where)
-    for name in (*(name for name in held if not declared[name].may_be_infinite), *also_finite):
-        bad = np.argwhere(np.isinf(dataset[name].values)) if name in dataset else []
+def _check_readings(dataset: xr.Dataset, declared: Mapping[str, Variable], where: str) -> None:
+    """Check a sensor's rows against their declarations: the smallest possible number, and whether inf has a meaning."""
+    held = {name: variable for name, variable in declared.items() if name in dataset and "time" in variable.dims}
+    for name, variable in held.items():
+        if variable.minimum is not None:
+            _require_at_least(dataset, name, variable.minimum, variable, where)
+    for name, variable in held.items():
+        bad = [] if variable.may_be_infinite else np.argwhere(np.isinf(dataset[name].values))
         if len(bad):
             place, value = _place(dataset, name, bad[0])
             fail(where, f"expected '{name}' finite or NaN (not seen), got {value} in {place}: write NaN there")

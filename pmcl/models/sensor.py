@@ -8,7 +8,6 @@ localization, the critic, reports) asks the class and knows no sensor by name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from pmcl.errors import ModelError
 from pmcl.logs.arrays import LogArrays
-from pmcl.logs.schema import Variable
+from pmcl.logs.sensor_variables import SensorVariables
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import BoundPart
 from pmcl.registry import SENSORS, register, registered
@@ -51,7 +50,7 @@ class ReadingIndex(NamedTuple):
 _of_table: dict[type, type[Sensor]] = {}
 
 
-class Sensor:
+class Sensor(SensorVariables):
     """A sensor model; a class derives from it for each kind of sensor.
 
     A subclass is a frozen dataclass whose fields are the settings of the model, e.g. whether readings may be gross
@@ -68,7 +67,6 @@ class Sensor:
     """
 
     table_type: ClassVar[type]
-    variables: ClassVar[Mapping[str, Variable]] = {}
     summary: ClassVar[str] = ""
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -76,50 +74,6 @@ class Sensor:
         super().__init_subclass__(**options)
         if "table_type" in cls.__dict__:
             _of_table[cls.table_type] = cls
-
-    # What a log holds.
-
-    @classmethod
-    def readings(cls) -> tuple[str, ...]:
-        """Return the names of the variables that hold readings."""
-        return tuple(name for name, variable in cls.variables.items() if variable.is_reading)
-
-    @classmethod
-    def check(cls, dataset: xr.Dataset, where: str) -> None:
-        """Check the sensor's variables in a log, beyond what their declarations say.
-
-        Parameters
-        ----------
-        dataset : xarray.Dataset
-            A log; its variables have the declared dimensions. Attributes may be brought into their usual form here.
-        where : str
-            File or call, for messages.
-
-        Raises
-        ------
-        LogError, MapError
-            When something is missing or impossible.
-        """
-
-    @classmethod
-    def count(cls, readings: Mapping[str, Float]) -> Int:
-        """Return how many readings there are in each row.
-
-        Parameters
-        ----------
-        readings : mapping of str to ndarray, shape (T, ...)
-            Those variables of the sensor that hold readings and that the log has.
-
-        Returns
-        -------
-        ndarray of int, shape (T,)
-            By default, each number counts.
-        """
-        return np.sum(
-            [np.count_nonzero(~np.isnan(values.reshape(len(values), -1)), axis=1) for values in readings.values()],
-            axis=0,
-            dtype=np.int64,
-        )
 
     # What a model holds.
 

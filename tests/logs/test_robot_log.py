@@ -10,7 +10,7 @@ import xarray as xr
 
 from pmcl.errors import LogError, MapError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.logs.schema import VARIABLES
+from pmcl.logs.schema import variables
 
 
 def test_arrays_come_out_as_they_went_in(log, arrays):
@@ -82,7 +82,7 @@ def test_absent_variables_are_none():
 
 def test_the_dataset_carries_dims_units_and_format(log):
     assert log.dataset.attrs["format"] == "pmcl-log/1"
-    for name, variable in VARIABLES.items():
+    for name, variable in variables().items():
         assert log.dataset[name].dims == variable.dims
         assert log.dataset[name].attrs["units"] == variable.units
     assert log.dataset["range"].attrs["max_range"] == 4.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -14,14 +13,13 @@ from pmcl.engine.residuals import GaussianSums, sum_of_squares
 from pmcl.errors import ModelError
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.robot_log import RobotLog
-from pmcl.logs.schema import Variable
 from pmcl.models.outliers import outlier_prior
 from pmcl.models.parameters import Parameter, gamma_prior
 from pmcl.models.part import Float, Int, owned
 from pmcl.models.sensor import ReadingIndex, Sensor
 from pmcl.models.sensors.landmarks.kernels.residuals import SightingResiduals
 from pmcl.models.sensors.landmarks.linearisation import covariates, empty_like, ideal, linearise, moved_linearisation
-from pmcl.models.sensors.landmarks.log_variables import VARIABLES, check_sightings, count_sightings
+from pmcl.models.sensors.landmarks.log_variables import LandmarkVariables
 from pmcl.models.sensors.landmarks.scoring import sightings_that_differ
 from pmcl.models.sensors.landmarks.simulation import simulate
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
@@ -32,7 +30,7 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True)
-class LandmarkNoise(Sensor):
+class LandmarkNoise(LandmarkVariables, Sensor):
     """Distance, bearing and apparent size of known landmarks, each optional, with optional outliers.
 
     Attributes
@@ -54,10 +52,7 @@ class LandmarkNoise(Sensor):
     size_at_one_metre: float | None = field(default=None, metadata={"comment": "pixels"})
 
     table_type: ClassVar[type] = LandmarkSightings
-    variables: ClassVar[Mapping[str, Variable]] = VARIABLES
     summary: ClassVar[str] = "sightings of known landmarks: which readings to use"
-    check = staticmethod(check_sightings)
-    count = staticmethod(count_sightings)
     ideal_readings = staticmethod(ideal)
     linearise = staticmethod(linearise)
     moved_linearisation = staticmethod(moved_linearisation)

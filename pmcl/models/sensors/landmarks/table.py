@@ -102,3 +102,8 @@ class LandmarkSightings(NamedTuple):
     extras: NoExtras | LandmarkExtras = NoExtras()
 
     extras_types = (LandmarkExtras,)
+
+
+# Whoever has a table needs its compiled functions, which register themselves. They need the types above.
+from pmcl.models.sensors.landmarks.kernels import full as _full  # noqa: E402, F401
+from pmcl.models.sensors.landmarks.kernels import plain as _plain  # noqa: E402, F401

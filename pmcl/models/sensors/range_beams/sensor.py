@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -13,7 +12,6 @@ from pmcl.engine.residuals import GaussianSums, sum_of_squares
 from pmcl.errors import ModelError
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.robot_log import RobotLog
-from pmcl.logs.schema import Variable
 from pmcl.models.outliers import outlier_prior
 from pmcl.models.parameters import Parameter, gamma_prior
 from pmcl.models.part import Float, Int, owned
@@ -21,7 +19,7 @@ from pmcl.models.sensor import ReadingIndex, Sensor
 from pmcl.models.sensors.range_beams.along_path import along, covariates
 from pmcl.models.sensors.range_beams.kernels.residuals import RangeResiduals
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths, empty_like, linearise, moved_linearisation
-from pmcl.models.sensors.range_beams.log_variables import VARIABLES, check_ranges
+from pmcl.models.sensors.range_beams.log_variables import RangeVariables
 from pmcl.models.sensors.range_beams.scoring import RayCache, beams_that_differ, scoring_calls
 from pmcl.models.sensors.range_beams.simulation import simulate
 from pmcl.models.sensors.range_beams.table import RangeBeams
@@ -30,7 +28,7 @@ __all__ = ["RangeNoise"]
 
 
 @dataclass(frozen=True)
-class RangeNoise(Sensor):
+class RangeNoise(RangeVariables, Sensor):
     """Gaussian range readings of any number of beams against walls, with optional outliers.
 
     Parameters are ``sigma_range`` [m] and, with `outliers`, ``range_outlier_weight`` [1].
@@ -39,9 +37,7 @@ class RangeNoise(Sensor):
     outliers: bool = field(default=False, metadata={"comment": "whether readings may be gross errors"})
 
     table_type: ClassVar[type] = RangeBeams
-    variables: ClassVar[Mapping[str, Variable]] = VARIABLES
     summary: ClassVar[str] = "range beams against the walls"
-    check = staticmethod(check_ranges)
     ideal_readings = staticmethod(beam_lengths)
     linearise = staticmethod(linearise)
     moved_linearisation = staticmethod(moved_linearisation)

@@ -141,3 +141,8 @@ class RangeBeams(NamedTuple):
     extras: NoExtras | RangeExtras = NoExtras()
 
     extras_types = (RangeExtras,)
+
+
+# Whoever has a table needs its compiled functions, which register themselves. They need the types above.
+from pmcl.models.sensors.range_beams.kernels import full as _full  # noqa: E402, F401
+from pmcl.models.sensors.range_beams.kernels import plain as _plain  # noqa: E402, F401
