@@ -5,4 +5,96 @@ implements), :mod:`~.compile` (the decorators), :mod:`~.sensor_tuples` and :mod:
 draws of parameters), :mod:`~.linear_readings` and :mod:`~.residuals` (for the transport move and the Metropolis block).
 :mod:`~.functions`, :mod:`~.disk_cache`, :mod:`~.compile_ahead`, :mod:`~.file_lock` and :mod:`~.progress` keep compiled
 code; :mod:`~.vector_math`, :mod:`~.random_numbers`, :mod:`~.student` and :mod:`~.views` are small functions for kernels.
+
+The names that tables of one's own need can be imported from this package itself.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmcl.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from pmcl.engine.compile import kernel
+    from pmcl.engine.contract import (
+        deviation_of_state,
+        draw_start,
+        has_reading,
+        linear_information,
+        linearise_start,
+        linearise_transition,
+        looks_back,
+        one_reading,
+        path_reading_logpdf,
+        path_transition_logpdf,
+        propagate,
+        reading_count,
+        reading_logpdf,
+        reading_slots,
+        scratch_rows,
+        start_logpdf,
+        state_of_deviation,
+        state_size,
+        transition_logpdf,
+    )
+    from pmcl.engine.residuals import GaussianSums, sum_of_squares, theta_logpdf
+    from pmcl.engine.tables import Axes, NoExtras
+
+__all__ = [
+    "Axes",
+    "GaussianSums",
+    "NoExtras",
+    "deviation_of_state",
+    "draw_start",
+    "has_reading",
+    "kernel",
+    "linear_information",
+    "linearise_start",
+    "linearise_transition",
+    "looks_back",
+    "one_reading",
+    "path_reading_logpdf",
+    "path_transition_logpdf",
+    "propagate",
+    "reading_count",
+    "reading_logpdf",
+    "reading_slots",
+    "scratch_rows",
+    "start_logpdf",
+    "state_of_deviation",
+    "state_size",
+    "sum_of_squares",
+    "theta_logpdf",
+    "transition_logpdf",
+]
+
+_HOMES = {
+    "kernel": "pmcl.engine.compile",
+    "deviation_of_state": "pmcl.engine.contract",
+    "draw_start": "pmcl.engine.contract",
+    "has_reading": "pmcl.engine.contract",
+    "linear_information": "pmcl.engine.contract",
+    "linearise_start": "pmcl.engine.contract",
+    "linearise_transition": "pmcl.engine.contract",
+    "looks_back": "pmcl.engine.contract",
+    "one_reading": "pmcl.engine.contract",
+    "path_reading_logpdf": "pmcl.engine.contract",
+    "path_transition_logpdf": "pmcl.engine.contract",
+    "propagate": "pmcl.engine.contract",
+    "reading_count": "pmcl.engine.contract",
+    "reading_logpdf": "pmcl.engine.contract",
+    "reading_slots": "pmcl.engine.contract",
+    "scratch_rows": "pmcl.engine.contract",
+    "start_logpdf": "pmcl.engine.contract",
+    "state_of_deviation": "pmcl.engine.contract",
+    "state_size": "pmcl.engine.contract",
+    "transition_logpdf": "pmcl.engine.contract",
+    "GaussianSums": "pmcl.engine.residuals",
+    "sum_of_squares": "pmcl.engine.residuals",
+    "theta_logpdf": "pmcl.engine.residuals",
+    "Axes": "pmcl.engine.tables",
+    "NoExtras": "pmcl.engine.tables",
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

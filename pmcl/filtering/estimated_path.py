@@ -57,7 +57,7 @@ def plausible_theta(bound: BoundModel, rng: np.random.Generator) -> Float:
     best, found = -math.inf, None
     for factor in _START_FACTORS:
         theta = bound.prior_mean()
-        scale = np.array([name.startswith("sigma_") for name in bound.names], dtype=bool)
+        scale = np.array([parameter.scales_noise for parameter in bound.parameters], dtype=bool)
         theta = np.where(scale, factor * theta, theta)
         try:
             value = run_filter(bound.tables(theta)[0], bound.lengths[0], START_PARTICLES, rng).log_evidence

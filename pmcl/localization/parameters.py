@@ -156,5 +156,5 @@ def _check_value(parameter: Parameter, value: float) -> None:
             f"theta: expected {parameter.name} within its prior, {low:g} to {high:g}, but got {value:g}; "
             "choose another value"
         )
-    if parameter.name.startswith("sigma_") and value == 0.0 and "_per_" not in parameter.name:
+    if parameter.role == "noise" and value == 0.0:
         raise ModelError(f"theta: expected {parameter.name} > 0, but got 0; choose a small one, such as 0.001")

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from pmcl.logs.mrclam import read_mrclam
     from pmcl.logs.odometry import odometry_from_poses, odometry_from_velocities, poses_at
     from pmcl.logs.robot_log import RobotLog
+    from pmcl.logs.schema import Variable
     from pmcl.logs.streams import beam_rows, landmark_rows, row_times
 
 __all__ = [
     "RobotLog",
+    "Variable",
     "beam_rows",
     "landmark_rows",
     "odometry_from_poses",
@@ -35,6 +37,7 @@ __all__ = [
 
 _HOMES = {
     "RobotLog": "pmcl.logs.robot_log",
+    "Variable": "pmcl.logs.schema",
     "read_barfoot": "pmcl.logs.barfoot",
     "read_mrclam": "pmcl.logs.mrclam",
     "beam_rows": "pmcl.logs.streams",

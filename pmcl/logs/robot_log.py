@@ -12,13 +12,14 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from pmcl.checks import MOST_COUNT, check_path, check_seed, check_type, check_whole
-from pmcl.errors import LogError, MapError
+from pmcl.errors import LogError, MapError, did_you_mean
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.assemble import assemble
 from pmcl.logs.finding import warn_of
 from pmcl.logs.netcdf import read_dataset, write_dataset
 from pmcl.logs.plausibility import implausible, without_map
 from pmcl.logs.schema import REFERENCE
+from pmcl.logs.schema import variables as format_variables
 from pmcl.logs.validation import fail, validated
 from pmcl.maps.landmarks import LandmarkMap
 from pmcl.maps.walls import WallMap
@@ -96,6 +97,7 @@ class RobotLog(LogArrays):
         landmark_sensor_pose: ArrayLike | None = None,
         landmarks: LandmarkMap | ArrayLike | None = None,
         walls: WallMap | ArrayLike | None = None,
+        variables: Mapping[str, ArrayLike | None] | None = None,
         start_mean: ArrayLike | None = None,
         start_std: ArrayLike | None = None,
         true_poses: ArrayLike | None = None,
@@ -133,6 +135,9 @@ class RobotLog(LogArrays):
             Landmark map [m]; needed with landmark readings.
         walls : WallMap or array_like, shape (W, 2, 2), optional
             Segment map [m].
+        variables : mapping of str to array_like, optional
+            Variables of further registered sensors, by their names in the file and with the shapes and units that the
+            sensor declares; None leaves one out.
         start_mean, start_std : array_like, shape (3,), optional
             Gaussian belief about the pose at row 0 [m, m, rad]; anywhere on the map by default.
         true_poses : array_like, shape (T, 3), optional
@@ -144,7 +149,7 @@ class RobotLog(LogArrays):
         seed : int, optional
             Seed of the simulation.
         attributes : mapping, optional
-            Further attributes of the file; text or numbers.
+            Further attributes of the file; text or numbers. One that a variable declares goes to that variable.
         where : str, optional
             The caller, for messages.
         warn : bool, optional
@@ -166,7 +171,8 @@ class RobotLog(LogArrays):
         pmcl.logs.odometry_from_poses, pmcl.logs.odometry_from_velocities : The column `odometry`.
         pmcl.logs.row_times, pmcl.logs.landmark_rows, pmcl.logs.beam_rows : Rows from streams with clocks of their own.
         """
-        for name, given in (("true_theta", true_theta), ("attributes", attributes)):
+        mappings = (("true_theta", true_theta), ("attributes", attributes), ("variables", variables))
+        for name, given in mappings:
             if given is not None:
                 check_type(name, given, Mapping, error=LogError, advice="write a dict with texts as keys")
         for name, text in (("robot", robot), ("source", source), ("where", where)):
@@ -194,6 +200,7 @@ class RobotLog(LogArrays):
             "start_std": start_std,
             "true_pose": true_poses,
         }
+        arrays |= _of_further_sensors(variables or {}, arrays, where)
         theta = None if true_theta is None else json.dumps(dict(true_theta), default=_number)
         stated = {
             "robot": robot,
@@ -270,6 +277,20 @@ class RobotLog(LogArrays):
         bare = self.dataset.drop_vars(list(REFERENCE), errors="ignore")
         bare.attrs = {key: value for key, value in bare.attrs.items() if key not in ("true_theta", "effects", "seed")}
         return RobotLog.trusted(bare, self.where)
+
+
+def _of_further_sensors(
+    given: Mapping[str, ArrayLike | None], arguments: Mapping[str, object], where: str
+) -> dict[str, ArrayLike | None]:
+    """Check the names in the argument `variables`: those of registered sensors that no other argument sets."""
+    known = [name for name in format_variables() if name not in arguments]
+    for name in given:
+        if name in arguments:
+            fail(where, f"expected '{name}' as an argument of its own, got it in 'variables': move it")
+        if name not in known:
+            advice = did_you_mean(name, known, "register its sensor (pmcl.models.register_sensor), or install its package")
+            fail(where, f"expected variables of registered sensors, got '{name}': {advice}")
+    return dict(given)
 
 
 def _number(value: object) -> float | str:

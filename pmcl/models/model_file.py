@@ -87,16 +87,16 @@ def _model(where: str, content: dict[str, Any], log: RobotLog) -> RobotModel:
         owners = (start, motion, *sensors, *named_apart(effects))
     except ModelError as error:
         _fail(where, "effects", str(error))
-    names = [parameter.name for owner in owners for parameter in owner.parameters]
+    known = {parameter.name: parameter for owner in owners for parameter in owner.parameters}
     priors_given, fixed_given = _table(where, "priors", content), _table(where, "fixed", content)
-    _known_keys(where, "priors", priors_given, names)
-    _known_keys(where, "fixed", fixed_given, names)
+    _known_keys(where, "priors", priors_given, known)
+    _known_keys(where, "fixed", fixed_given, known)
     both = sorted(set(priors_given) & set(fixed_given))
     if both:
         _fail(
             where, f"fixed.{both[0]}", f"expected either a fixed value or a prior, but {both[0]} has both; remove one"
         )
-    priors = {name: prior_from_table(where, name, table) for name, table in priors_given.items()}
+    priors = {name: prior_from_table(where, known[name], table) for name, table in priors_given.items()}
     fixed = {name: _number(where, f"fixed.{name}", value) for name, value in fixed_given.items()}
     try:
         return RobotModel(motion, sensors, start, priors, fixed, effects)

@@ -1,16 +1,44 @@
 """The door of a motion model's room: what generic code asks a motion model.
 
-A motion model is a class with the methods of :class:`~pmcl.models.part.Part`, registered by a name for model files.
-Its table's compiled functions are registered with :mod:`pmcl.engine.contract`.
+A motion model is one class that derives from :class:`Motion`, registered by the name that model files have for it. Its
+table may be one that exists, such as that of noisy increments; then every effect of the motion applies to it. The
+compiled functions of a table of its own are registered with :mod:`pmcl.engine.contract`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
 
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.parameters import Parameter
+from pmcl.models.part import BoundPart
 from pmcl.registry import MOTIONS, register, registered
 
-__all__ = ["motions", "register_motion"]
+__all__ = ["Motion", "motions", "register_motion"]
+
+_Class = TypeVar("_Class", bound=type)
+
+
+class Motion:
+    """A motion model; a class derives from it for each kind of motion, and can be made without arguments.
+
+    Attributes
+    ----------
+    summary : str
+        What it is, in a few words, for the comments of model files.
+    """
+
+    summary: ClassVar[str] = ""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The motion's parameters, in the order in which its table function takes them."""
+        raise NotImplementedError
+
+    def bind(self, log: RobotLog) -> BoundPart:
+        """Prepare for one log; raises ModelError when the log lacks what the motion needs."""
+        raise NotImplementedError
 
 
 def motions() -> dict[str, Any]:
@@ -18,7 +46,7 @@ def motions() -> dict[str, Any]:
     return registered(MOTIONS)
 
 
-def register_motion(name: str) -> Any:
+def register_motion(name: str) -> Callable[[_Class], _Class]:
     """Register a class of motion models for this process; an installed package uses an entry point instead.
 
     Parameters
@@ -37,7 +65,7 @@ def register_motion(name: str) -> Any:
         When the name is taken.
     """
 
-    def decorate(motion: Any) -> Any:
+    def decorate(motion: _Class) -> _Class:
         register(MOTIONS, name, motion)
         return motion
 

@@ -11,16 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pmcl.checks import check_type
+from pmcl.checks import check_choice, check_type
 from pmcl.errors import ModelError
 
-__all__ = ["Parameter", "PriorTable", "gamma_prior", "log_prior_function", "prior_rows", "prior_support", "prior_table"]
+__all__ = [
+    "ROLES", "Parameter", "PriorTable", "gamma_prior", "log_prior_function", "prior_rows", "prior_support",
+    "prior_table",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 
 # Families whose log density compiled code knows, by scipy name. The number is the code in PriorTable.family.
 FAMILIES = {"norm": 0, "gamma": 1, "lognorm": 2, "uniform": 3, "beta": 4, "halfnorm": 5, "expon": 6, "invgamma": 7}
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+ROLES: dict[str, str] = {
+    "noise": "a standard deviation, or a ratio that acts as one: above 0, since a density needs some noise",
+    "noise growth": "by how much a standard deviation grows with motion or distance: at least 0",
+    "weight": "the probability of a component of a mixture: 0 to 1",
+    "other": "anything else",
+}
+"""What a parameter is in its model, with the values that it may have."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +49,20 @@ class Parameter:
         Any continuous one.
     description : str
         One sentence for people.
+    role : str
+        What it is in its model, one of :data:`ROLES`. Checks of values and of priors follow from it.
+
+    Raises
+    ------
+    ModelError
+        When the prior is no distribution, or the role is unknown.
     """
 
     name: str
     unit: str
     prior: Any
     description: str = ""
+    role: str = "other"
 
     def __post_init__(self) -> None:
         """Check that the prior can be drawn from and evaluated."""
@@ -50,11 +70,17 @@ class Parameter:
             check_type(f"{what} of a parameter", getattr(self, what), str, error=ModelError, advice="write a text")
         if not self.name:
             raise ModelError("expected a name of a parameter, but got an empty text; call it for example 'sigma_range'")
+        check_choice(f"the role of {self.name}", self.role, ROLES, error=ModelError)
         if not (hasattr(self.prior, "logpdf") and hasattr(self.prior, "rvs") and hasattr(self.prior, "support")):
             raise ModelError(
                 f"the prior of {self.name} must be a frozen continuous scipy.stats distribution, "
                 f"but got {type(self.prior).__name__}; write for example scipy.stats.gamma(2, scale=0.05)"
             )
+
+    @property
+    def scales_noise(self) -> bool:
+        """Whether its value is an amount of noise, constant or growing."""
+        return self.role in ("noise", "noise growth")
 
 
 class PriorTable(NamedTuple):

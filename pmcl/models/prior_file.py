@@ -9,20 +9,20 @@ import numpy as np
 from scipy import stats
 
 from pmcl.errors import ModelError, did_you_mean
-from pmcl.models.parameters import prior_support
+from pmcl.models.parameters import Parameter, prior_support
 
 __all__ = ["prior_from_table", "prior_to_table"]
 
 
-def prior_from_table(where: str, name: str, table: Any) -> Any:
+def prior_from_table(where: str, parameter: Parameter, table: Any) -> Any:
     """Turn ``{"distribution": "gamma", "a": 2.0, "scale": 0.05}`` into a frozen distribution.
 
     Parameters
     ----------
     where : str
         File, for messages.
-    name : str
-        Parameter that the prior belongs to.
+    parameter : Parameter
+        The prior belongs to it; its role decides which values are possible.
     table : dict
         ``distribution``, the shape arguments under their scipy names, and optionally ``loc`` and ``scale``.
 
@@ -36,7 +36,7 @@ def prior_from_table(where: str, name: str, table: Any) -> Any:
         When there is no such distribution, an argument is unknown, missing or not allowed, or the support is not one
         that the parameter can have.
     """
-    key = f"priors.{name}"
+    key = f"priors.{parameter.name}"
     if not isinstance(table, dict) or "distribution" not in table:
         _fail(where, key, f"expected a table with the key 'distribution', but got {table!r}; write for example "
               '{ distribution = "gamma", a = 2.0, scale = 0.05 }')  # fmt: skip
@@ -61,7 +61,7 @@ def prior_from_table(where: str, name: str, table: Any) -> Any:
         )
     # Shapes by position and the rest by name, as priors are usually written in Python.
     positional = [arguments.pop(shape) for shape in shapes]
-    return _checked(where, key, name, family(*positional, **arguments))
+    return _checked(where, key, parameter, family(*positional, **arguments))
 
 
 def prior_to_table(name: str, prior: Any) -> dict[str, str | int | float]:
@@ -97,21 +97,21 @@ def _family(where: str, key: str, name: Any) -> stats.rv_continuous:
     return found
 
 
-def _checked(where: str, key: str, name: str, prior: Any) -> Any:
+def _checked(where: str, key: str, parameter: Parameter, prior: Any) -> Any:
     low, high = prior_support(prior)
     problem = ""
     if not low < high:
-        problem = f"expected arguments that {prior.dist.name} allows, but got {_told(prior)}; correct them"
-    elif name.startswith("sigma_") and low < 0.0:
-        problem = f"expected numbers >= 0, but {_told(prior)} reaches down to {low:g}; choose gamma or lognorm"
-    elif name.endswith("_weight") and (low < 0.0 or high > 1.0):
-        problem = f"expected numbers in [0, 1], but {_told(prior)} spans {low:g} to {high:g}; choose beta"
+        problem = f"expected arguments that {prior.dist.name} allows, but got {_in_words(prior)}; correct them"
+    elif parameter.scales_noise and low < 0.0:
+        problem = f"expected numbers >= 0, but {_in_words(prior)} reaches down to {low:g}; choose gamma or lognorm"
+    elif parameter.role == "weight" and (low < 0.0 or high > 1.0):
+        problem = f"expected numbers in [0, 1], but {_in_words(prior)} spans {low:g} to {high:g}; choose beta"
     if problem:
         _fail(where, key, problem)
     return prior
 
 
-def _told(prior: Any) -> str:
+def _in_words(prior: Any) -> str:
     arguments = [f"{value:g}" for value in prior.args] + [f"{key}={value:g}" for key, value in prior.kwds.items()]
     return f"{prior.dist.name}({', '.join(arguments)})"
 

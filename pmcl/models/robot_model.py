@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -91,7 +91,7 @@ class RobotModel:
                 if parameter.name not in self.fixed:
                     continue
                 value = float(self.fixed[parameter.name])
-                if parameter.name.startswith("sigma_") and value == 0.0 and "_per_" not in parameter.name:
+                if parameter.role == "noise" and value == 0.0:
                     raise ModelError(
                         f"{parameter.name} is fixed at 0: without noise in some direction a transition has no "
                         "density and no trajectory can be drawn backward; fix it at a small positive value, e.g. 0.001"
@@ -121,7 +121,7 @@ class RobotModel:
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters to infer, with the priors in force."""
         return tuple(
-            Parameter(p.name, p.unit, self.priors.get(p.name, p.prior), p.description)
+            replace(p, prior=self.priors.get(p.name, p.prior))
             for owner in self.owners
             for p in owner.parameters
             if p.name not in self.fixed

@@ -8,7 +8,8 @@ localization, the critic, reports) asks the class and knows no sensor by name.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple, Self
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -25,6 +26,7 @@ __all__ = ["ReadingIndex", "Sensor", "register_sensor", "sensor_of", "sensors"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+_Class = TypeVar("_Class", bound="type[Sensor]")
 
 
 class ReadingIndex(NamedTuple):
@@ -319,7 +321,7 @@ def sensors() -> dict[str, type[Sensor]]:
     return registered(SENSORS)
 
 
-def register_sensor(name: str) -> Any:
+def register_sensor(name: str) -> Callable[[_Class], _Class]:
     """Register a class of sensors for this process; an installed package uses an entry point instead.
 
     Parameters
@@ -338,7 +340,7 @@ def register_sensor(name: str) -> Any:
         When the name is taken.
     """
 
-    def decorate(sensor: type[Sensor]) -> type[Sensor]:
+    def decorate(sensor: _Class) -> _Class:
         register(SENSORS, name, sensor)
         return sensor
 

@@ -12,10 +12,11 @@ from typing import Protocol
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from pmcl.logs.schema import readings, variables
 
-__all__ = ["LogLike", "agreed_truth", "log_groups", "reading_kinds", "suffixes_for"]
+__all__ = ["LogLike", "agreed_truth", "log_groups", "over_channels", "reading_kinds", "suffixes_for"]
 
 # Dimensions that mean the same in every log.
 _SHARED_DIMS = frozenset({"increment", "pose", "xy", "end"})
@@ -64,6 +65,22 @@ def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
     tuple of str
     """
     return tuple(kind for kind in readings() if kind in dataset)
+
+
+def over_channels(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """View readings over time, and over channels where there are some, as an array over time and channel.
+
+    Parameters
+    ----------
+    values : ndarray, shape (T,) or (T, C)
+        Contiguous. A compass, for example, has no channels: all its readings are of channel 0.
+
+    Returns
+    -------
+    ndarray, shape (T, 1) or (T, C)
+        A view, through which `values` can be changed.
+    """
+    return values.reshape(len(values), -1)
 
 
 def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:

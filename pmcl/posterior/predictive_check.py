@@ -21,7 +21,7 @@ from pmcl.posterior.access import theta_draws
 from pmcl.posterior.compat import Posterior, extended, find_group
 from pmcl.posterior.diagnostics import verdict
 from pmcl.posterior.findings import kind_label
-from pmcl.posterior.log_groups import reading_kinds, suffixes_for
+from pmcl.posterior.log_groups import over_channels, reading_kinds, suffixes_for
 from pmcl.posterior.model_check import LEVEL, ModelCheck, ScoredPass, check_model
 from pmcl.posterior.predictive_draws import predictive_groups
 
@@ -115,7 +115,7 @@ def _residuals(made: ScoredPass, log: RobotLog, suffix: str) -> dict[str, xr.Dat
         # A filter that lost the robot entirely foresaw nothing; the variable is there all the same.
         if made.predictions is not None and kind in made.predictions.kinds:
             mine = made.predictions.kind == made.predictions.kinds.index(kind)
-            values[made.predictions.time[mine], made.predictions.channel[mine]] = made.scores[mine]
+            over_channels(values)[made.predictions.time[mine], made.predictions.channel[mine]] = made.scores[mine]
         variables[f"residual_{kind}{suffix}"] = xr.DataArray(
             values,
             dims=[f"{dimension}{suffix}" for dimension in template.dims],

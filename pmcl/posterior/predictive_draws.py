@@ -23,7 +23,7 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
-from pmcl.posterior.log_groups import reading_kinds, suffixes_for
+from pmcl.posterior.log_groups import over_channels, reading_kinds, suffixes_for
 
 __all__ = ["predictive_groups"]
 
@@ -146,7 +146,7 @@ def _foreseen(
             continue
         measured = ~np.isnan(log.dataset[kind].values)
         score = np.full(measured.shape, np.nan)
-        score[made.time[mine], made.channel[mine]] = made.log_score[mine]
+        over_channels(score)[made.time[mine], made.channel[mine]] = made.log_score[mine]
         # A model need not foresee every kind of reading that a log holds.
         if not np.isnan(score[measured]).any():
             result[kind] = score[measured], replicated[kind][measured]
@@ -178,5 +178,5 @@ def _replicated(log: RobotLog, tables: Tables, made: Predictions, rng: np.random
                 if kind in kinds:
                     mine = (index.kind == number) & (index.time % 2 == parity)
                     grid = replicated.setdefault(kind, np.full(log.dataset[kind].shape, np.nan))
-                    grid[index.time[mine], index.channel[mine]] = index.reading[mine]
+                    over_channels(grid)[index.time[mine], index.channel[mine]] = index.reading[mine]
     return replicated

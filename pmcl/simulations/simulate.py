@@ -89,17 +89,18 @@ def draw_theta(
     theta = {parameter.name: float(parameter.prior.rvs(random_state=rng)) for parameter in parameters}
     given = {} if given is None else given
     check_type("theta", given, Mapping, error=ModelError, advice="write a dict with parameter names as keys")
+    known = {parameter.name: parameter for parameter in parameters}
     for name, value in given.items():
         if name not in theta:
             advice = did_you_mean(name, theta, "leave it out")
             raise ModelError(f"theta: expected parameters out of {', '.join(theta)}, but got '{name}'; {advice}")
         check_number(f"theta: {name}", value, error=ModelError)
-        low, high = next(prior_support(parameter.prior) for parameter in parameters if parameter.name == name)
+        low, high = prior_support(known[name].prior)
         if not (low <= value <= high and math.isfinite(value)):
             raise ModelError(
                 f"theta: expected {name} within its prior, {low:g} to {high:g}, but got {value:g}; choose another"
             )
-        if name.startswith("sigma_") and value == 0.0:
+        if known[name].role == "noise" and value == 0.0:
             raise ModelError(f"theta: expected {name} > 0, but got 0; choose a small one, such as 0.001")
         theta[name] = float(value)
     return theta

@@ -47,6 +47,7 @@ from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
     from pmcl.models.effects.catalogue import CATALOGUE
+    from pmcl.models.effects.editing import edit_beams, edit_landmarks, edit_motion, edit_sensors
     from pmcl.models.effects.effect import Effect
     from pmcl.models.effects.registry import candidates, known_effects, read_effects, use_effects
     from pmcl.models.effects.selection import effect_named
@@ -55,6 +56,10 @@ __all__ = [
     "CATALOGUE",
     "Effect",
     "candidates",
+    "edit_beams",
+    "edit_landmarks",
+    "edit_motion",
+    "edit_sensors",
     "effect_named",
     "known_effects",
     "read_effects",
@@ -65,6 +70,10 @@ _HOMES = {
     "CATALOGUE": "pmcl.models.effects.catalogue",
     "Effect": "pmcl.models.effects.effect",
     "candidates": "pmcl.models.effects.registry",
+    "edit_beams": "pmcl.models.effects.editing",
+    "edit_landmarks": "pmcl.models.effects.editing",
+    "edit_motion": "pmcl.models.effects.editing",
+    "edit_sensors": "pmcl.models.effects.editing",
     "effect_named": "pmcl.models.effects.selection",
     "known_effects": "pmcl.models.effects.registry",
     "read_effects": "pmcl.models.effects.registry",

@@ -83,7 +83,9 @@ ECHO_EFFECTS = (
         name="random-readings",
         summary="Some readings have nothing to do with the room: any length is as likely as any other.",
         finding="{0:%} of the readings have nothing to do with the room",
-        parameters=(Parameter("random_readings_weight", "1", stats.beta(1.0, 15.0), "share of random readings"),),
+        parameters=(
+            Parameter("random_readings_weight", "1", stats.beta(1.0, 15.0), "share of random readings", role="weight"),
+        ),
         null=(0.0,),
         change=_random,
         carrier="range",
@@ -102,7 +104,8 @@ ECHO_EFFECTS = (
         summary="Some readings are too short: people and things that the map does not know pass by.",
         finding="{0:%} of the readings stop short of the wall, some {1} from the robot",
         parameters=(
-            Parameter("short_readings_weight", "1", stats.beta(1.0, 8.0), "share of readings that are too short"),
+            Parameter("short_readings_weight", "1", stats.beta(1.0, 8.0), "share of readings that are too short",
+                      role="weight"),
             Parameter("short_readings_length", "m", gamma_prior(1.0), "scale of their distance from the robot"),
         ),
         null=(0.0, 1.0),
@@ -124,7 +127,7 @@ ECHO_EFFECTS = (
         summary="Some readings get no echo and show the greatest range.",
         finding="{0:%} of the readings get no echo and show the greatest range",
         parameters=(Parameter("max_range_readings_weight", "1", stats.beta(1.0, 8.0), "share of readings without "
-                              "echo"),),
+                              "echo", role="weight"),),
         null=(0.0,),
         change=_no_echo,
         carrier="range",
@@ -141,7 +144,9 @@ ECHO_EFFECTS = (
         name="dead-beam",
         summary="One beam often or always shows the greatest range, whatever is in front of it.",
         finding="beam {beams} shows the greatest range in {0:%} of its readings, whatever is in front of it",
-        parameters=(Parameter("dead_beam_weight", "1", stats.beta(1.0, 1.0), "share of its readings without echo"),),
+        parameters=(
+            Parameter("dead_beam_weight", "1", stats.beta(1.0, 1.0), "share of its readings without echo", role="weight"),
+        ),
         null=(0.0,),
         change=_dead_beam,
         carrier="range",
@@ -157,7 +162,7 @@ ECHO_EFFECTS = (
         summary="Now and then a beam shows the echo of its neighbour.",
         finding="{0:%} of the readings are the echo of a neighbouring beam",
         parameters=(Parameter("cross_talk_weight", "1", stats.beta(1.0, 8.0), "share of readings that are a "
-                              "neighbour's"),),
+                              "neighbour's", role="weight"),),
         null=(0.0,),
         change=_cross_talk,
         carrier="range",
@@ -174,7 +179,7 @@ ECHO_EFFECTS = (
         finding="{0:%} of the beams that meet a wall at more than {1} from square glance off",
         parameters=(
             Parameter("specular_reflection_weight", "1", stats.beta(1.0, 2.0), "share of grazing beams that glance "
-                      "off"),
+                      "off", role="weight"),
             Parameter("specular_reflection_angle", "rad", stats.norm(loc=0.8, scale=0.2), "incidence from which on "
                       "they do"),
         ),

@@ -53,7 +53,7 @@ GRIP_EFFECTS = (
         summary="Now and then the wheels slip, and a step falls far short of what odometry says.",
         finding="in {0:%} of the steps the wheels slip and lose {1:%} of the distance",
         parameters=(
-            Parameter("wheel_slip_weight", "1", stats.beta(1.0, 15.0), "share of steps that slip"),
+            Parameter("wheel_slip_weight", "1", stats.beta(1.0, 15.0), "share of steps that slip", role="weight"),
             Parameter("wheel_slip_share", "1", stats.beta(6.0, 3.0), "share of its distance that such a step loses"),
         ),
         null=(0.0, 0.7),

@@ -246,7 +246,7 @@ LANDMARK_EFFECTS = (
         summary="Now and then a landmark is taken for another one.",
         finding="{0:%} of the sightings are of another landmark than said",
         parameters=(Parameter("landmark_misread_weight", "1", stats.beta(1.0, 10.0), "share of sightings of another "
-                              "landmark than said"),),
+                              "landmark than said", role="weight"),),
         null=(0.0,),
         change=_misread,
         carrier="landmark",

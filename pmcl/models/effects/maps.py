@@ -114,7 +114,7 @@ MAP_EFFECTS = (
         finding="something of radius {3} stands at ({1:+}, {2:+}), in the way of {0:%} of the readings towards it",
         parameters=(
             Parameter("unmapped_obstacle_weight", "1", stats.beta(1.0, 1.0), "share of the readings towards it that it "
-                      "answers"),
+                      "answers", role="weight"),
             Parameter("unmapped_obstacle_x", "m", stats.norm(scale=5.0), "where it stands"),
             Parameter("unmapped_obstacle_y", "m", stats.norm(scale=5.0), "where it stands"),
             Parameter("unmapped_obstacle_radius", "m", gamma_prior(0.3, 8.0), "its radius"),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pmcl.engine.residuals import GaussianSums
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.motion import Motion
 from pmcl.models.motions.increments.kernels.residuals import GrowingResiduals
 from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.parameters import Parameter, gamma_prior
@@ -19,19 +20,18 @@ from pmcl.models.part import Float, Int, owned
 __all__ = ["GrowingIncrementNoise", "IncrementNoise", "increment_residuals"]
 
 _BASE = (
-    ("sigma_forward", "m", 0.05, "noise of one increment along the heading"),
-    ("sigma_left", "m", 0.03, "noise of one increment across the heading"),
-    ("sigma_turn", "rad", 0.05, "noise of one increment's turn"),
+    Parameter("sigma_forward", "m", gamma_prior(0.05), "noise of one increment along the heading", "noise"),
+    Parameter("sigma_left", "m", gamma_prior(0.03), "noise of one increment across the heading", "noise"),
+    Parameter("sigma_turn", "rad", gamma_prior(0.05), "noise of one increment's turn", "noise"),
 )
-_GROWTH = (
-    ("sigma_forward_per_metre", "1", 0.1, "forward noise per metre travelled in the increment"),
-    ("sigma_turn_per_radian", "1", 0.1, "turn noise per radian turned in the increment"),
-    ("sigma_turn_per_metre", "rad/m", 0.1, "turn noise per metre travelled in the increment"),
+_GROWTH = tuple(
+    Parameter(name, unit, gamma_prior(0.1), f"{what} in the increment", "noise growth")
+    for name, unit, what in (
+        ("sigma_forward_per_metre", "1", "forward noise per metre travelled"),
+        ("sigma_turn_per_radian", "1", "turn noise per radian turned"),
+        ("sigma_turn_per_metre", "rad/m", "turn noise per metre travelled"),
+    )
 )
-
-
-def _parameters(rows: tuple[tuple[str, str, float, str], ...]) -> tuple[Parameter, ...]:
-    return tuple(Parameter(name, unit, gamma_prior(mean), text) for name, unit, mean, text in rows)
 
 
 def increment_residuals(mean: Float, path: NDArray[np.float64]) -> Float:
@@ -60,10 +60,10 @@ def increment_residuals(mean: Float, path: NDArray[np.float64]) -> Float:
 
 
 @dataclass(frozen=True)
-class IncrementNoise:
+class IncrementNoise(Motion):
     """The paper's motion model: zero-mean Gaussian noise on forward, left and turn of every increment."""
 
-    parameters: tuple[Parameter, ...] = _parameters(_BASE)
+    parameters: tuple[Parameter, ...] = _BASE
 
     summary: ClassVar[str] = "the noise of each odometry increment has constant standard deviations"
 
@@ -92,7 +92,7 @@ class BoundIncrementNoise:
 
 
 @dataclass(frozen=True)
-class GrowingIncrementNoise:
+class GrowingIncrementNoise(Motion):
     """Noise whose standard deviations grow with the size of the increment.
 
     Variances add: var_forward = sigma_forward^2 + (sigma_forward_per_metre d)^2,
@@ -100,7 +100,7 @@ class GrowingIncrementNoise:
     the odometry increment (compare alpha1 to alpha4 in Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 5.4).
     """
 
-    parameters: tuple[Parameter, ...] = _parameters(_BASE + _GROWTH)
+    parameters: tuple[Parameter, ...] = (*_BASE, *_GROWTH)
 
     summary: ClassVar[str] = "they grow with the distance and the turn of the increment"
 

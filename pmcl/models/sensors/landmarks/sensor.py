@@ -90,19 +90,15 @@ class LandmarkNoise(LandmarkVariables, Sensor):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The noises of the readings that are used, then the outlier weight where there is one."""
-        all_four = (
-            (self.range, Parameter("sigma_landmark_range", "m", gamma_prior(0.2), "noise of a landmark's distance")),
-            (self.bearing, Parameter("sigma_bearing", "rad", gamma_prior(0.1), "noise of a landmark's bearing")),
-            (
-                self.size,
-                Parameter("sigma_size", "1", gamma_prior(0.2), "noise of the ratio of observed to ideal pixels"),
-            ),
-            (
-                self.outliers,
-                Parameter("landmark_outlier_weight", "1", outlier_prior(), "share of sightings that are gross errors"),
-            ),
+        distance = Parameter("sigma_landmark_range", "m", gamma_prior(0.2), "noise of a landmark's distance", "noise")
+        bearing = Parameter("sigma_bearing", "rad", gamma_prior(0.1), "noise of a landmark's bearing", "noise")
+        size = Parameter("sigma_size", "1", gamma_prior(0.2), "noise of the ratio of observed to ideal pixels", "noise")
+        weight = Parameter(
+            "landmark_outlier_weight", "1", outlier_prior(), "share of sightings that are gross errors", "weight"
         )
-        return tuple(parameter for used, parameter in all_four if used)
+        flags = (self.range, self.bearing, self.size, self.outliers)
+        pairs = zip(flags, (distance, bearing, size, weight), strict=True)
+        return tuple(parameter for used, parameter in pairs if used)
 
     def bind(self, log: RobotLog) -> BoundLandmarkNoise:
         """Take sightings and landmarks from the log; raises when a reading that the model uses is missing."""

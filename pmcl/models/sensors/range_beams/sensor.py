@@ -69,9 +69,9 @@ class RangeNoise(RangeVariables, Sensor):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The noise, then the outlier weight where there is one."""
-        noise = Parameter("sigma_range", "m", gamma_prior(0.1), "noise of a range reading")
+        noise = Parameter("sigma_range", "m", gamma_prior(0.1), "noise of a range reading", "noise")
         weight = Parameter(
-            "range_outlier_weight", "1", outlier_prior(), "share of range readings that are gross errors"
+            "range_outlier_weight", "1", outlier_prior(), "share of range readings that are gross errors", "weight"
         )
         return (noise, weight) if self.outliers else (noise,)
 
