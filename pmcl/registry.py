@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from pmcl.errors import ModelError
 
-__all__ = ["EFFECTS", "MOTIONS", "SENSORS", "origin", "register", "registered", "sensor_variables"]
+__all__ = ["EFFECTS", "MOTIONS", "SENSORS", "names", "origin", "register", "registered", "sensor_variables"]
 
 SENSORS, MOTIONS, EFFECTS = "pmcl.sensors", "pmcl.motions", "pmcl.effects"
 """Groups of entry points: classes of sensors, classes of motion models, and effects or sequences of effects."""
@@ -128,6 +128,12 @@ def registered(group: str) -> dict[str, Any]:
         When an installed package registers something that cannot be used.
     """
     return {**_own(group), **_of_packages(group), **_added[group]}
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Return the names in a group without loading what they stand for."""
+    points = (point.name for point in entry_points(group=group))
+    return tuple(dict.fromkeys((*_OWN[group], *points, *_added[group])))
 
 
 def sensor_variables() -> dict[str, Any]:

@@ -47,6 +47,7 @@ from pmcl.criticism.verdict import WORTH_A_FORMULA, called
 from pmcl.criticism.waves import remarkable_waves
 from pmcl.errors import CriticismError, FilterError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import readings
 from pmcl.models.effects.effect import Effect
 
 __all__ = ["FIT_SHARE", "LATER", "Outcome", "Search"]
@@ -441,8 +442,8 @@ def _explains_too_little(best: Trial, judgement: Judgement) -> bool:
 
 
 def _readings(log: RobotLog, rows: slice) -> int:
-    names = ("range", "landmark_range", "landmark_bearing", "landmark_size")
-    return sum(int((~np.isnan(log.dataset[name].values[rows])).sum()) for name in names if name in log.dataset)
+    tables = (log.dataset[name].values[rows] for name in readings() if name in log.dataset)
+    return sum(int((~np.isnan(values)).sum()) for values in tables)
 
 
 def _alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

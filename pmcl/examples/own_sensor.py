@@ -1,44 +1,46 @@
 """A sensor of your own: a compass that reads the robot's heading, beside the landmarks that it sees.
 
-Its parts: a table, functions of that table for numba (pmcl.engine.contract), classes (pmcl.models.part).
+A sensor is one class (pmcl.models.Sensor) and one table, whose compiled functions are registered with pmcl.engine. An
+installed package names the class in an entry point of the group "pmcl.sensors"; logs and model files then know it, too.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
 import pmcl
-from pmcl.engine import contract
-from pmcl.filtering.predict import reading_geometry
-from pmcl.models import LandmarkNoise, RobotModel
+from pmcl import engine
+from pmcl.geometry import wrap
+from pmcl.logs import Variable
+from pmcl.models import BoundPart, RobotModel, Sensor, default_model, gamma_prior, register_sensor
 from pmcl.simulations import simulate_landmark_field
 
 
-class CompassReadings(NamedTuple):
+class CompassTable(NamedTuple):
     """All that compiled code sees: headings (T,) [rad], NaN where there is none, and their standard deviation [rad]."""
 
     heading: Any
     std: float
 
 
-@contract.scratch_rows.register(CompassReadings)
+@engine.scratch_rows.register(CompassTable)
 def _no_scratch(table):
     return 0
 
 
-@contract.looks_back.register(CompassReadings)
+@engine.looks_back.register(CompassTable)
 def _only_the_current_pose_counts(sensor):
     return False
 
 
-@contract.has_reading.register(CompassReadings)
+@engine.has_reading.register(CompassTable)
 def _has_reading(sensor, t):
     return not math.isnan(sensor.heading[t])
 
 
-@contract.reading_logpdf.register(CompassReadings)
+@engine.reading_logpdf.register(CompassTable)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     # The n columns of `current` are poses (x, y, heading). The log density of each is added to `logp`.
     for i in range(logp.size):
@@ -46,38 +48,40 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
         logp[i] -= 0.5 * error * error + math.log(sensor.std) + 0.5 * math.log(2.0 * math.pi)
 
 
-# The next two are for the transport move, which makes the chains mix. Without them calibration works, only slower.
-@reading_geometry.register
-def _(table: CompassReadings, reference: Any) -> CompassReadings:
-    return CompassReadings(np.remainder(table.heading - reference[:, 2] + np.pi, 2.0 * np.pi) - np.pi, table.std)
-
-
-@contract.linear_information.register(CompassReadings)
-def _linear_information(sensor, geometry, t, precision, shift):
+@engine.linear_information.register(CompassTable)
+def _linear_information(sensor, error, t, precision, shift):
+    # For the transport move, which makes the chains mix: `error` comes from `Compass.linearise`.
     if not math.isnan(sensor.heading[t]):
         precision[2, 2] += sensor.std**-2
-        shift[2] += geometry.heading[t] * sensor.std**-2
+        shift[2] += error.heading[t] * sensor.std**-2
 
 
-class Compass(NamedTuple):
+@register_sensor("compass")
+@dataclass(frozen=True)
+class Compass(Sensor):
     """A compass with unknown noise, for logs with a variable `compass` (time) [rad]."""
 
-    parameters: tuple[pmcl.Parameter, ...] = (pmcl.Parameter("sigma_compass", "rad", stats.gamma(2.0, scale=0.05)),)
+    table_type = CompassTable
+    variables = {"compass": Variable(("time",), "rad", "heading in the world; NaN not measured", is_reading=True)}
+    summary = "absolute headings"
+    parameters = (pmcl.Parameter("sigma_compass", "rad", gamma_prior(0.1), "noise of a heading", role="noise"),)
 
     def bind(self, log: pmcl.RobotLog) -> Any:  # noqa: D102
-        return BoundCompass(np.array(log.dataset["compass"], dtype=float))
+        return BoundCompass(np.array(log.variable("compass")))
+
+    @staticmethod
+    def linearise(table: Any, reference: Any) -> Any:  # noqa: D102
+        return table._replace(heading=wrap(table.heading[: len(reference)] - reference[:, 2]))
 
 
-class BoundCompass(NamedTuple):
+@dataclass(frozen=True)
+class BoundCompass(BoundPart):
     """The compass of one log: makes the table for values of the parameters, `theta` (1,)."""
 
     heading: Any
 
-    def table(self, theta: Any) -> CompassReadings:  # noqa: D102
-        return CompassReadings(self.heading, float(theta[0]))
-
-    def statistics(self, table: Any, path: Any, ideal: Any, index: Any, theta: Any) -> None:
-        """Offer no sums of squares: each Metropolis step then evaluates the density."""
+    def table(self, theta: Any) -> CompassTable:  # noqa: D102
+        return CompassTable(self.heading, float(theta[0]))
 
 
 def record() -> pmcl.RobotLog:
@@ -89,7 +93,8 @@ def record() -> pmcl.RobotLog:
 
 def main(draws: int = 1000) -> None:
     """Calibrate the robot with its compass."""
-    data = pmcl.calibrate(record(), RobotModel(sensors=(LandmarkNoise(bearing=False), Compass())), draws=draws)
+    log = record()
+    data = pmcl.calibrate(log, RobotModel(sensors=default_model(log).sensors), draws=draws)
     sigma = data.posterior["sigma_compass"]
     print(f"sigma_compass = {float(sigma.mean()):.4f} +- {float(sigma.std()):.4f} rad; simulated with 0.04")
     print(pmcl.verdict(data).message)

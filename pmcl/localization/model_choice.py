@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_file import model_of_text
-from pmcl.models.motions.increments.motion import GrowingIncrementNoise
+from pmcl.models.motion import motions
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.starts.belief import StartBelief
 from pmcl.posterior.access import parameter_names
@@ -45,5 +45,14 @@ def model_for(log: RobotLog, posterior: Posterior | None) -> RobotModel:
     text = settings(posterior).get("model")
     if isinstance(text, str) and text:
         return replace(model_of_text(text, log, "the posterior's model"), start=StartBelief())
-    model = default_model(log, outliers=any(name.endswith("_outlier_weight") for name in names))
-    return replace(model, motion=GrowingIncrementNoise()) if any("_per_" in name for name in names) else model
+    # Which of the models that can be made of registered parts has these parameters; the default one if none has.
+    candidates = [
+        replace(default_model(log, outliers=outliers), motion=motion())
+        for outliers in (False, True)
+        for motion in motions().values()
+    ]
+    return next((model for model in candidates if set(_names(model)) == set(names)), default_model(log))
+
+
+def _names(model: RobotModel) -> list[str]:
+    return [parameter.name for parameter in model.parameters]

@@ -75,12 +75,11 @@ class RecentRows(RobotLog):
                 f"expected a time later than the last one, {self._times[-1]:g} s, but got {time:g} s; "
                 "give the sample times in order"
             )
-        row = {"odometry": self._odometry(odometry, what)}
         for name, values in measured.items():
-            if name in self._rows:
-                row[name] = self._reading(name, values, what)
-            elif values is not None:
+            if name not in self._rows and values is not None:
                 raise LogError(f"{what}: expected no '{name}', which this robot does not have; leave it out")
+        row = {name: self._reading(name, measured.get(name), what) for name in self._rows if name != "odometry"}
+        row["odometry"] = self._odometry(odometry, what)
         # Row 0 stays for good: models may count from it. The oldest of the others makes room.
         drop = [1] if self._times.size == self._memory else []
         object.__setattr__(self, "_times", np.append(np.delete(self._times, drop), time))

@@ -14,6 +14,7 @@ __all__ = [
     "LABELS",
     "REFERENCE",
     "Variable",
+    "plural_of",
     "readings",
     "variables",
 ]
@@ -40,6 +41,8 @@ class Variable(NamedTuple):
         Whether an infinite reading has a meaning, such as "no echo".
     attributes : tuple of str
         Attributes of the variable that a log needs or may have, e.g. ``("max_range",)``.
+    plural : str
+        What several of its readings are called in messages and figures; its name with an "s" when left out.
     """
 
     dims: tuple[str, ...]
@@ -49,6 +52,7 @@ class Variable(NamedTuple):
     minimum: float | None = None
     may_be_infinite: bool = False
     attributes: tuple[str, ...] = ()
+    plural: str = ""
 
 
 _GENERAL: dict[str, Variable] = {
@@ -78,6 +82,12 @@ def variables() -> dict[str, Variable]:
 def readings() -> tuple[str, ...]:
     """Return the names of the variables that read the world; a log holds at least one of them."""
     return tuple(name for name, variable in variables().items() if variable.is_reading)
+
+
+def plural_of(name: str) -> str:
+    """Return what several readings of a variable are called, e.g. "landmark bearings"."""
+    declared = variables().get(name)
+    return (declared.plural if declared is not None else "") or f"{name.replace('_', ' ')}s"
 
 
 REFERENCE = ("true_pose",)

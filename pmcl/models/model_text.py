@@ -68,15 +68,22 @@ def model_text(model: RobotModel, log: RobotLog) -> str:
 
 def _motion_name(motion: Part) -> str:
     for name, kind in motions().items():
-        if type(motion) is kind and motion.parameters == kind().parameters:
+        if type(motion) is kind and _settings(motion) == _settings(kind()):
             return name
     _refuse(motion)
 
 
+def _settings(motion: Part) -> dict[str, object]:
+    """Return what a file would have to say of a motion beside its name; priors stand in a table of their own."""
+    fields = dataclasses.fields(motion) if dataclasses.is_dataclass(motion) else ()
+    values = {field.name: getattr(motion, field.name) for field in fields}
+    return values | {"parameters": [parameter.name for parameter in motion.parameters]}
+
+
 def _refuse(part: Part) -> NoReturn:
     raise ModelError(
-        "expected parts that a model file knows (motion, start, range and landmark noise), but got "
-        f"{type(part).__name__}; keep this model in Python"
+        f"expected parts that a model file can name, but got {type(part).__name__}; register its class "
+        "(pmcl.models.register_sensor, pmcl.models.register_motion), or keep this model in Python"
     )
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import plural_of, variables
 from pmcl.posterior.score_statistics import ScoreSeries, duration_of_errors
 
 __all__ = ["Finding", "kind_label", "lost_finding", "named_finding"]
@@ -90,12 +91,12 @@ def named_finding(
 
 def kind_label(kind: str) -> str:
     """Name a kind of reading in the plural, e.g. "landmark bearings"."""
-    return f"{kind.replace('_', ' ')}s"
+    return plural_of(kind)
 
 
 def _channel_names(channels: Sequence[int], kind: str, log: RobotLog) -> str:
     """Name beams or landmarks, landmarks as the log names them."""
-    dimension = "landmark" if kind.startswith("landmark") else "beam"
+    dimension = variables()[kind].dims[-1]
     known = log.dataset.coords[dimension].values if dimension in log.dataset.coords else None
     names = ", ".join(str(channel if known is None else known[channel]) for channel in channels)
     return f"{dimension}{'s' if len(channels) > 1 else ''} {names}"

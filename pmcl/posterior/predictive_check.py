@@ -88,9 +88,9 @@ def check_group(check: ModelCheck, logs: tuple[RobotLog, ...]) -> xr.Dataset:
     for made, log, suffix in zip(check.passes, logs, suffixes_for(len(logs)), strict=True):
         coords[f"time{suffix}"] = ((f"time{suffix}",), log.times, {"units": "s", "long_name": "time"})
         variables |= _residuals(made, log, suffix)
-        for dimension in ("beam", "landmark"):
-            used = any(f"{dimension}{suffix}" in variable.dims for variable in variables.values())
-            if used and dimension in log.dataset.coords:
+        channels = {dimension for kind in reading_kinds(log.dataset) for dimension in log.dataset[kind].dims[1:]}
+        for dimension in sorted(map(str, channels)):
+            if dimension in log.dataset.coords:
                 coords[f"{dimension}{suffix}"] = log.dataset.coords[dimension].values
     findings = [
         {**finding._asdict(), "z": finding.z if np.isfinite(finding.z) else None} for finding in check.findings

@@ -129,7 +129,7 @@ def plot_effect(effect: Effect) -> EffectPicture | None:
     EffectPicture or None
         None when no simulated robot can show the effect (:func:`pmcl.reports.effect_demonstrations.demonstrate`).
     """
-    view = _VIEWS.get(effect.name, _BY_CARRIER[effect.carrier])
+    view = _VIEWS.get(effect.name, _BY_CARRIER.get(effect.carrier, _POINTS))
     shown = demonstrate(effect, quiet=view.quiet)
     if shown is None:
         return None

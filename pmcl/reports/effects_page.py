@@ -45,7 +45,12 @@ def _rows(effect: Effect) -> list[_Row]:
 
 
 def _groups(effects: Sequence[Effect]) -> list[tuple[str, list[Effect]]]:
-    groups = [(_HEADINGS[carrier], [one for one in effects if one.carrier == carrier]) for carrier in CARRIERS]
+    # Sensors of installed packages have no heading here: their names serve.
+    carriers = dict.fromkeys((*CARRIERS, *(effect.carrier for effect in effects)))
+    groups = [
+        (_HEADINGS.get(carrier, carrier.capitalize()), [effect for effect in effects if effect.carrier == carrier])
+        for carrier in carriers
+    ]
     return [(heading, members) for heading, members in groups if members]
 
 

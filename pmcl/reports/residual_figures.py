@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy import stats
 
+from pmcl.logs.schema import plural_of, readings
 from pmcl.posterior.compat import Posterior, find_group
 from pmcl.posterior.log_groups import suffixes_for
 from pmcl.reports.bands import band_over_time
@@ -23,13 +24,6 @@ __all__ = ["plot_residuals", "residual_channels"]
 
 Float = NDArray[np.float64]
 
-# Names of the channels that a check may hold, as variables and in words.
-_CHANNELS = {
-    "residual_range": "ranges",
-    "residual_landmark_range": "distances to landmarks",
-    "residual_landmark_bearing": "bearings to landmarks",
-    "residual_landmark_size": "sizes of landmarks",
-}
 _TIME_BINS = 60
 # Scores beyond this are drawn at the edge.
 _LARGEST = 4.0
@@ -55,7 +49,7 @@ def residual_channels(data: Posterior, log: int, n_logs: int) -> dict[str, str]:
     """
     checked = find_group(data, "predictive_check")
     suffix = suffixes_for(n_logs)[log]
-    named = {f"{variable}{suffix}": words for variable, words in _CHANNELS.items()}
+    named = {f"residual_{kind}{suffix}": plural_of(kind) for kind in readings()}
     return {
         variable: words
         for variable, words in named.items()

@@ -1,6 +1,6 @@
 """A sensor as another package would add it: a compass, and the effect that it is mounted askew.
 
-It uses public names of pmcl only. Entry points of such a package name :class:`Compass` and :data:`COMPASS_OFFSET`.
+It uses public names of pmcl only.
 """
 
 from __future__ import annotations
@@ -32,9 +32,7 @@ class CompassTable(NamedTuple):
 
 
 class CompassSlopes(NamedTuple):
-    """The linearised readings: heading read minus reference heading, (T,) [rad]."""
-
-    error: Float
+    error: Float  # heading read minus reference heading, (T,) [rad]
 
 
 @engine.scratch_rows.register(CompassTable)
@@ -91,7 +89,7 @@ class Compass(Sensor):
 
     table_type: ClassVar[type] = CompassTable
     variables: ClassVar[Mapping[str, Variable]] = {
-        "compass": Variable(("time",), "rad", "heading in the world; NaN not measured", is_reading=True)
+        "compass": Variable(("time",), "rad", "heading in the world; NaN not measured", is_reading=True, plural="compass headings")
     }
     summary: ClassVar[str] = "absolute headings"
 
@@ -105,10 +103,6 @@ class Compass(Sensor):
     @staticmethod
     def linearise(table: CompassTable, reference: Float) -> CompassSlopes:
         return CompassSlopes(wrap(table.heading[: len(reference)] - reference[:, 2]))
-
-    @staticmethod
-    def linearisation_like(table: CompassTable) -> CompassSlopes:
-        return CompassSlopes(np.empty(1))
 
     @classmethod
     def simulate(cls, table: CompassTable, path: Float, rng: np.random.Generator) -> CompassTable:
@@ -137,8 +131,8 @@ class BoundCompass(BoundPart):
     def statistics(self, table: CompassTable, path: Float, ideal: Any, index: Any, theta: Float) -> Any:
         error = wrap(table.heading[: len(path)] - table.offset - path[:, 2])
         error = error[~np.isnan(error)]
-        squares = np.array([engine.sum_of_squares(error)])
-        return engine.GaussianSums(index, np.array(theta), np.array([float(error.size)]), squares)
+        sums = np.array([float(error.size)]), np.array([engine.sum_of_squares(error)])
+        return engine.GaussianSums(index, np.array(theta), *sums)
 
 
 COMPASS_OFFSET = Effect(

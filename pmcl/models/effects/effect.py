@@ -15,6 +15,7 @@ from pmcl.models.effects.editing import settled
 from pmcl.models.parameters import Parameter, prior_support
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
+from pmcl.registry import SENSORS, names
 
 __all__ = ["CARRIERS", "MAGNITUDES", "Effect", "Where", "always", "named_apart"]
 
@@ -22,7 +23,7 @@ Where = Mapping[str, Sequence[float]]
 """What an effect is about, for people and files: ``{"beams": [2]}``; empty for an effect of the whole robot."""
 
 CARRIERS = ("motion", "range", "landmark", "sensor", "map")
-"""What an effect is carried by; "sensor" is every sensor of the robot."""
+"""What an effect is carried by, or the name of a registered sensor; "sensor" is any sensor, or all of the robot."""
 
 MAGNITUDES = ("just visible", "clear", "large")
 """Names of typical magnitudes, for a log of some hundred readings of each kind."""
@@ -50,7 +51,7 @@ class Effect:
     change : callable
         ``change(tables, values, log, where) -> Tables``: the edit, plain numpy. It must not alter the arrays given.
     carrier : str
-        One of :data:`CARRIERS`.
+        One of :data:`CARRIERS`, or the name that model files have for a registered sensor.
     look : str
         What it looks like in the data.
     finding : str
@@ -108,21 +109,21 @@ class Effect:
 
     def __post_init__(self) -> None:
         """Check that names, values and priors belong together."""
-        names = [parameter.name for parameter in self.parameters]
-        if self.carrier not in CARRIERS:
+        own = [parameter.name for parameter in self.parameters]
+        if self.carrier not in CARRIERS and self.carrier not in names(SENSORS):
+            known = ", ".join(dict.fromkeys((*CARRIERS, *names(SENSORS))))
             raise ModelError(
-                f"effect {self.name}: expected a carrier out of {', '.join(CARRIERS)}, but got {self.carrier!r}; "
-                "choose one"
+                f"effect {self.name}: expected a carrier out of {known}, but got {self.carrier!r}; choose one"
             )
-        if not names or len(set(names)) < len(names) or len(self.null) != len(names):
+        if not own or len(set(own)) < len(own) or len(self.null) != len(own):
             raise ModelError(
                 f"effect {self.name}: expected parameters of different names and one null value for each, but got "
-                f"{names} and {len(self.null)} values; give each parameter its null"
+                f"{own} and {len(self.null)} values; give each parameter its null"
             )
         for magnitude, values in self.typical.items():
-            if magnitude not in MAGNITUDES or len(values) != len(names):
+            if magnitude not in MAGNITUDES or len(values) != len(own):
                 raise ModelError(
-                    f"effect {self.name}: expected typical values for {', '.join(MAGNITUDES)}, {len(names)} each, but "
+                    f"effect {self.name}: expected typical values for {', '.join(MAGNITUDES)}, {len(own)} each, but "
                     f"got {len(values)} for {magnitude!r}; correct them"
                 )
         for parameter, value in zip(self.parameters, self.null, strict=True):
@@ -132,7 +133,7 @@ class Effect:
                     f"effect {self.name}: expected the null of {parameter.name} within its prior, {low:g} to {high:g}, "
                     f"but got {value:g}; widen the prior"
                 )
-        known = {str(k) for k in range(len(names))} | set(self.where)
+        known = {str(k) for k in range(len(own))} | set(self.where)
         told = {name for _, name, _, _ in string.Formatter().parse(self.finding) if name is not None}
         # Which places an effect has is known of its instances only.
         strange = sorted(one for one in told - known if one.isdecimal() or self.where or self.places is None)
@@ -141,10 +142,10 @@ class Effect:
                 f"effect {self.name}: expected a finding about {', '.join(sorted(known))}, but got "
                 f"{', '.join(strange)}; correct what is in braces"
             )
-        unknown = sorted(set(self.shape) - set(names))
-        if unknown or len(self.shape) == len(names):
+        unknown = sorted(set(self.shape) - set(own))
+        if unknown or len(self.shape) == len(own):
             raise ModelError(
-                f"effect {self.name}: expected shape to name some of {names}, but not all, and got {list(self.shape)}; "
+                f"effect {self.name}: expected shape to name some of {own}, but not all, and got {list(self.shape)}; "
                 "leave out what is no parameter, or what is the strength of the effect"
             )
 
@@ -262,12 +263,10 @@ class Effect:
 
 
 def _count(log: RobotLog, kind: str) -> int:
-    """Return how many beams, landmarks or walls a log has; 0 for another kind of place."""
-    if kind == "beams":
-        return 0 if log.beam_poses is None else len(log.beam_poses)
-    if kind == "landmarks":
-        return 0 if log.landmarks is None else len(log.landmarks.positions)
-    return len(log.walls.segments) if kind == "walls" and log.walls is not None else 0
+    """Return how many places of a kind a log has: ``"beams"`` are the size of its dimension ``beam``."""
+    sizes = log.dataset.sizes
+    name = kind.removesuffix("s")
+    return int(sizes.get(name, sizes.get(f"{name}_index", 0)))
 
 
 def named_apart(effects: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -1,20 +1,18 @@
 """The effects that a name can mean: those of pmcl, of installed packages, and of the user's own files.
 
-An installed package offers effects through an entry point of the group ``pmcl.effects``, whose object is an
-:class:`~pmcl.models.effects.effect.Effect` or a sequence of them. In its pyproject.toml it says, for example,
-``[project.entry-points."pmcl.effects"]`` and below ``torque-steer = "my_package.effects:TORQUE_STEER"``. A file is read
-with :func:`read_effects`; its effects are known while :func:`use_effects` lasts.
+An installed package offers effects through an entry point of the group ``pmcl.effects`` (:mod:`pmcl.registry`), whose
+object is an :class:`~pmcl.models.effects.effect.Effect` or a sequence of them. In its pyproject.toml it says, for
+example, ``[project.entry-points."pmcl.effects"]`` and below ``torque-steer = "my_package.effects:TORQUE_STEER"``. A file
+is read with :func:`read_effects`; its effects are known while :func:`use_effects` lasts.
 """
 
 from __future__ import annotations
 
-import functools
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,11 +25,9 @@ from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import default_model
 from pmcl.models.tables import Tables
+from pmcl.registry import EFFECTS, origin, registered
 
-__all__ = ["ENTRY_POINTS", "candidates", "check_on", "known_effects", "read_effects", "use_effects"]
-
-ENTRY_POINTS = "pmcl.effects"
-"""Group of the entry points by which installed packages offer effects."""
+__all__ = ["candidates", "check_on", "known_effects", "read_effects", "use_effects"]
 
 _in_use: list[Effect] = []
 
@@ -76,7 +72,7 @@ def use_effects(effects: Iterable[Effect]) -> Iterator[None]:
     """
     before = list(_in_use)
     for effect in effects:
-        _check_new(effect, known_effects(), "use_effects")
+        _check_new(effect, known_effects(), lambda: "use_effects")
         _in_use.append(effect)
     try:
         yield
@@ -114,7 +110,7 @@ def read_effects(path: str | Path) -> tuple[Effect, ...]:
         )
     found: list[Effect] = []
     for effect in own:
-        _check_new(effect, (*CATALOGUE, *_installed_effects(), *found), str(file))
+        _check_new(effect, (*CATALOGUE, *_installed_effects(), *found), lambda: str(file))
         found.append(_told_by_line(effect, file))
     return tuple(found)
 
@@ -165,26 +161,18 @@ def check_on(effect: Effect, log: RobotLog) -> None:
                 )
 
 
-@functools.cache
 def _installed_effects() -> tuple[Effect, ...]:
+    """Return the effects of the registry: those of installed packages, and those that were registered here."""
     found: list[Effect] = []
-    for entry in entry_points(group=ENTRY_POINTS):
-        where = f"entry point '{entry.name}' of {entry.dist.name if entry.dist is not None else 'a package'}"
-        try:
-            offered = entry.load()
-        except Exception as error:
-            raise ModelError(
-                f"{where}: expected an effect, but loading {entry.value} failed ({_in_one_line(error)}); "
-                "repair or remove that package"
-            ) from error
+    for name, offered in registered(EFFECTS).items():
         effects = _effects_in([offered])
         if not effects:
             raise ModelError(
-                f"{where}: expected an effect or a sequence of effects, but {entry.value} is a "
-                f"{type(offered).__name__}; repair or remove that package"
+                f"{origin(EFFECTS, name)}: expected an effect or a sequence of effects, but got a "
+                f"{type(offered).__name__}; repair or remove it"
             )
         for effect in effects:
-            _check_new(effect, (*CATALOGUE, *found), where)
+            _check_new(effect, (*CATALOGUE, *found), lambda name=name: origin(EFFECTS, name))
             found.append(effect)
     return tuple(found)
 
@@ -198,12 +186,12 @@ def _effects_in(values: Iterable[Any]) -> list[Effect]:
     return found
 
 
-def _check_new(effect: Effect, known: Sequence[Effect], where: str) -> None:
+def _check_new(effect: Effect, known: Sequence[Effect], where: Callable[[], str]) -> None:
     if any(effect.name == other.name for other in known):
-        raise ModelError(f"{where}: expected new names, but there is an effect {effect.name} already; rename it")
+        raise ModelError(f"{where()}: expected new names, but there is an effect {effect.name} already; rename it")
     if "clear" not in effect.typical:
         raise ModelError(
-            f"{where}, effect {effect.name}: expected typical values for 'clear', but got none; write for example "
+            f"{where()}, effect {effect.name}: expected typical values for 'clear', but got none; write for example "
             f"typical={{'clear': ({', '.join(['0.1'] * len(effect.parameters))},)}}"
         )
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from oracles.effect_logs import field_log, sonar_log
 
+from pmcl import registry
 from pmcl.errors import ModelError
 from pmcl.examples import example_text
 from pmcl.examples.own_effect import TORQUE_STEER
 from pmcl.models.effects import CATALOGUE, candidates, effect_named, known_effects, read_effects, use_effects
-from pmcl.models.effects.registry import _installed_effects, check_on
+from pmcl.models.effects.registry import check_on
 from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.robot_model import RobotModel, default_model
 
@@ -122,11 +123,11 @@ def installed(tmp_path, monkeypatch):
         (metadata / "entry_points.txt").write_text(f"[pmcl.effects]\nsteer = {target}\n")
         monkeypatch.syspath_prepend(str(tmp_path))
         importlib.invalidate_caches()
-        _installed_effects.cache_clear()
+        registry._of_packages.cache_clear()
 
     yield install
     monkeypatch.undo()
-    _installed_effects.cache_clear()
+    registry._of_packages.cache_clear()
 
 
 def test_installed_packages_offer_effects(installed):
@@ -139,7 +140,7 @@ def test_installed_packages_offer_effects(installed):
     ("target", "message"),
     [
         ("wheelworks:NOTHING", "'steer' of wheelworks: .*loading wheelworks:NOTHING failed"),
-        ("wheelworks:pulled", "'steer' of wheelworks: .*wheelworks:pulled is a function"),
+        ("wheelworks:pulled", "'steer' of wheelworks: expected an effect .* but got a function"),
     ],
 )
 def test_packages_that_offer_something_else_are_named(installed, target, message):
