@@ -7,7 +7,7 @@ import numpy as np
 from logs import Hidden, simulate
 from outside import OUTSIDE
 
-from pmcl.criticism.heldout import gap_of
+from pmcl.criticism.fitting.held_out import gap_of
 from pmcl.engine.contract import state_size
 from pmcl.errors import PmclError
 from pmcl.filtering.one_step_ahead import predict_readings

@@ -1,13 +1,18 @@
-"""Criticism finds where simulation and log disagree, names the missing effect, and shows whether it closes the gap.
+"""The critic finds where a model and a log disagree, names the missing effect, and measures what it explains.
 
-:func:`~pmcl.criticism.workflow.criticize` runs the whole loop. Its steps are modules of their own, in this order:
-:mod:`~pmcl.criticism.fit` (calibrate quickly), :mod:`~pmcl.criticism.evidence` (what one pass over a log tells),
-:mod:`~pmcl.criticism.replicate` (the same from logs that the fitted model simulates), :mod:`~pmcl.criticism.alarms`
-(what is unusual, at a known false-alarm rate), :mod:`~pmcl.criticism.trials` (candidates refitted),
-:mod:`~pmcl.criticism.naming` (which of them explains it), :mod:`~pmcl.criticism.heldout` (what it is worth on data not
-used), :mod:`~pmcl.criticism.formulas` and :mod:`~pmcl.criticism.waves` (what no known effect describes).
-:mod:`~pmcl.criticism.search` puts them together, and :mod:`~pmcl.criticism.progress` says how far it has come. The
-result goes to :mod:`pmcl.reports` and, as JSON, model file and posterior, to files.
+:func:`~pmcl.criticism.workflow.criticize` runs the whole loop. Its parts are packages, to be read in this order:
+
+1. :mod:`~pmcl.criticism.scoring`: one filter pass over a log gives residuals and scores; the same from logs that the
+   fitted model simulates.
+2. :mod:`~pmcl.criticism.fitting`: quick calibrations of many models, and comparisons on rows that a fit did not see.
+3. :mod:`~pmcl.criticism.judging`: which numbers of the log are unusual among those of the simulated logs, at a known
+   rate of false alarms, and where in the log they come from.
+4. :mod:`~pmcl.criticism.findings`: the result as plain data, its verdict and its sentences.
+5. :mod:`~pmcl.criticism.naming`: the search for the effect that explains an alarm, in the catalogue and among formulas.
+
+A package imports only from packages before it. :mod:`~pmcl.criticism.settings` and :mod:`~pmcl.criticism.progress` hold
+the settings of a run and report how far it has come. The result goes to :mod:`pmcl.reports` and to files: JSON, model
+file and posterior.
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from typing import TYPE_CHECKING
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from pmcl.criticism.result import Criticism
+    from pmcl.criticism.findings.result import Criticism
     from pmcl.criticism.workflow import criticize
 
 __all__ = [
@@ -26,7 +31,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Criticism": "pmcl.criticism.result",
+    "Criticism": "pmcl.criticism.findings.result",
     "criticize": "pmcl.criticism.workflow",
 }
 

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy import special
 
-from pmcl.criticism.evidence import Evidence
-from pmcl.criticism.result import Candidate, Criticism
+from pmcl.criticism.scoring.scored_log import Evidence
+from pmcl.criticism.findings.result import Candidate, Criticism
 from pmcl.reports.style import FAINT, POSTERIOR, legend_above, new_figure, tidy
 
 __all__ = ["plot_candidates", "plot_channels", "plot_gains", "plot_map", "plot_pit"]

@@ -7,9 +7,9 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pmcl.criticism.alarms import Alarm
-from pmcl.criticism.result import Criticism, Estimate, Step, Unexplained
-from pmcl.criticism.verdict import called, channels_of
+from pmcl.criticism.judging.alarms import Alarm
+from pmcl.criticism.findings.result import Criticism, Estimate, Step, Unexplained
+from pmcl.criticism.findings.verdict import called, channels_of
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
 from pmcl.reports.html import Picture, page, picture, write_page
 

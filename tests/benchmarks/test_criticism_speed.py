@@ -7,9 +7,9 @@ import logging
 import numpy as np
 import pytest
 
-from pmcl.criticism.evidence import gather
-from pmcl.criticism.fit import quick_fit
-from pmcl.criticism.scores import directions, fits
+from pmcl.criticism.scoring.scored_log import score_log
+from pmcl.criticism.fitting.quick_fit import quick_fit
+from pmcl.criticism.scoring.scores import applicable, directions_of
 from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import default_model
@@ -27,9 +27,9 @@ def log():
 def test_a_scored_pass_of_600_rows_8_beams_500_particles_50_candidates(benchmark, log):
     bound = default_model(log).bind(log)
     theta = np.array([THETA[name] for name in bound.names])
-    wanted = directions([one for one in candidates(log) if fits(one, bound.tables(theta)[0], log)])[:CANDIDATES]
+    wanted = directions_of([one for one in candidates(log) if applicable(one, bound.tables(theta)[0], log)])[:CANDIDATES]
     settings = {"particles": 500, "paths": 15, "seed": 1}
-    found = benchmark.pedantic(gather, (bound, theta, wanted), settings, rounds=5, warmup_rounds=1)
+    found = benchmark.pedantic(score_log, (bound, theta, wanted), settings, rounds=5, warmup_rounds=1)
     assert found.scores.shape == (CANDIDATES, 600)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.criticism.alarms import judge
-from pmcl.criticism.features import Feature
-from pmcl.criticism.scores import directions
+from pmcl.criticism.judging.alarms import judge
+from pmcl.criticism.scoring.features import Feature
+from pmcl.criticism.scoring.scores import directions
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import fit
-from pmcl.criticism.fit import BRIEF, THOROUGH, quick_fit
+from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
 from pmcl.errors import ModelError
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import RobotModel, default_model

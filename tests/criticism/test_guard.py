@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import guard
-from pmcl.criticism.guard import lost_at, particles_that_follow
+from pmcl.criticism.fitting.following import lost_at, particles_that_follow
 from pmcl.errors import FilterError
 from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import special
 
-from pmcl.criticism.alarms import Alarm, Judgement
-from pmcl.criticism.covariates import RowCovariates
-from pmcl.criticism.features import Feature
-from pmcl.criticism.locate import locate
+from pmcl.criticism.judging.alarms import Alarm, Judgement
+from pmcl.criticism.scoring.covariates import RowCovariates
+from pmcl.criticism.scoring.features import Feature
+from pmcl.criticism.judging.locate import locate
 from pmcl.criticism.workflow import criticize
 from pmcl.logs.robot_log import RobotLog
 from pmcl.simulations.landmark_field import simulate_landmark_field

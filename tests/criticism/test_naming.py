@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import naming
-from pmcl.criticism.fit import BRIEF, quick_fit
-from pmcl.criticism.heldout import paired_gain
+from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
+from pmcl.criticism.fitting.held_out import paired_gain
 from pmcl.criticism.naming import (
     choose,
     confirmed_without_score,
@@ -25,8 +25,8 @@ from pmcl.criticism.naming import (
     untried_twins,
     with_rules,
 )
-from pmcl.criticism.scores import directions
-from pmcl.criticism.trials import Trial, spare_effects, trial_of_base, try_effect
+from pmcl.criticism.scoring.scores import directions
+from pmcl.criticism.fitting.trials import Trial, spare_effects, trial_of_base, try_effect
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model

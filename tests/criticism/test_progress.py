@@ -9,7 +9,7 @@ import time
 import pytest
 
 from pmcl.criticism import progress
-from pmcl.criticism.passes import Settings
+from pmcl.criticism.judging.judged_log import Settings
 from pmcl.criticism.progress import Progress
 
 # mypy: disable-error-code="no-untyped-def"

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from pmcl.criticism import replicate
-from pmcl.criticism.covariates import incidence
-from pmcl.criticism.replicate import replicated_log
+from pmcl.criticism.scoring.covariates import incidence
+from pmcl.criticism.scoring.simulated_logs import replicated_log
 from pmcl.filtering.kernels.smc import sensor_terms
 from pmcl.filtering.kernels.steering import steered_path
 from pmcl.filtering.particle_filter import make_rng

@@ -12,7 +12,7 @@ from oracles.random_walk_model import rail_log, rail_model
 from scipy import stats
 
 from pmcl.criticism import scores
-from pmcl.criticism.scores import base_rows, directions, effect_rows
+from pmcl.criticism.scoring.scores import base_rows, directions, effect_rows
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.models.effects.effect import Effect

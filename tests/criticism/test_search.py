@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import passes, search
-from pmcl.criticism.fit import GLANCE, quick_fit
-from pmcl.criticism.heldout import Gain
+from pmcl.criticism.fitting.quick_fit import GLANCE, quick_fit
+from pmcl.criticism.fitting.held_out import Gain
 from pmcl.criticism.naming import worth_it
-from pmcl.criticism.passes import Settings
-from pmcl.criticism.search import Outcome, Search
-from pmcl.criticism.trials import Trial
+from pmcl.criticism.judging.judged_log import Settings
+from pmcl.criticism.naming.search import Outcome, Search
+from pmcl.criticism.fitting.trials import Trial
 from pmcl.errors import FilterError
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named

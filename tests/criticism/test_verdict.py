@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
 
-from pmcl.criticism.result import Estimate, FoundEffect, Unexplained
-from pmcl.criticism.verdict import UNKNOWN, called, sentence_of, told
+from pmcl.criticism.findings.result import Estimate, FoundEffect, Unexplained
+from pmcl.criticism.findings.verdict import UNKNOWN, called, sentence_of, told
 from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.criticism.fit import BRIEF, quick_fit
-from pmcl.criticism.formulas import steady_changes, wave
-from pmcl.criticism.passes import Settings, criticised
-from pmcl.criticism.waves import remarkable_waves
+from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
+from pmcl.criticism.naming.formulas import steady_changes, wave
+from pmcl.criticism.judging.judged_log import Settings, criticised
+from pmcl.criticism.naming.waves import remarkable_waves
 from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter

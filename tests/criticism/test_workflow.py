@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import workflow
-from pmcl.criticism.search import Outcome, Search
+from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import CriticismError, FilterError, PmclError, PosteriorError
 from pmcl.logs.robot_log import RobotLog

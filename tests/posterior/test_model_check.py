@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import pmcl
-from pmcl.criticism.fit import THOROUGH, quick_fit
+from pmcl.criticism.fitting.quick_fit import THOROUGH, quick_fit
 from pmcl.errors import FilterError
 from pmcl.filtering.one_step_ahead import predict_readings
 from pmcl.filtering.particle_filter import make_rng, run_filter

@@ -1,4 +1,4 @@
-"""What criticism found, as plain data, and as the JSON file that other programs read."""
+"""The result of the critic as plain data, and as the JSON file that other programs read."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pmcl.criticism.alarms import Alarm, Judgement
-from pmcl.criticism.evidence import Evidence
-from pmcl.criticism.fit import Fit
-from pmcl.criticism.heldout import Gap
+from pmcl.criticism.fitting.held_out import Gap
+from pmcl.criticism.fitting.quick_fit import Fit
+from pmcl.criticism.judging.alarms import Alarm, Judgement
+from pmcl.criticism.scoring.scored_log import ScoredLog
 from pmcl.errors import PosteriorError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_text import model_text
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.files import replacing, write_posterior
 
-__all__ = ["FORMAT", "Candidate", "Criticism", "Estimate", "FoundEffect", "Pass", "Step", "Unexplained"]
+__all__ = ["FORMAT", "Candidate", "Criticism", "Estimate", "FoundEffect", "JudgedFit", "Step", "Unexplained"]
 
 FORMAT = "pmcl-criticism/1"
 
@@ -28,20 +28,28 @@ FORMAT = "pmcl-criticism/1"
 class Estimate:
     """Posterior mean and standard deviation of a parameter, with its unit.
 
-    Formatted it is text for people: ``+`` keeps the sign, ``%`` gives per cent, ``left|right`` a word for each sign.
+    ``format`` gives text for people. The format ``+`` keeps the sign, ``%`` gives per cent, and ``left|right`` chooses
+    a word by the sign.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Posterior mean and standard deviation, in `unit`.
+    unit : str
+        The unit; "1" for none.
     """
 
     mean: float
     sd: float
     unit: str
 
-    def __format__(self, wanted: str) -> str:
-        """Return the size, rounded by its standard deviation, or the word that `wanted` has for its sign."""
-        if "|" in wanted:
-            positive, negative = wanted.split("|")
+    def __format__(self, spec: str) -> str:
+        """Return the size, rounded by its standard deviation, or the word that `spec` has for its sign."""
+        if "|" in spec:
+            positive, negative = spec.split("|")
             return negative if self.mean < 0.0 else positive
-        scale, unit = (100.0, "%") if wanted == "%" else (1.0, "" if self.unit == "1" else self.unit)
-        mean, sd = scale * (self.mean if wanted == "+" else abs(self.mean)), scale * self.sd
+        scale, unit = (100.0, "%") if spec == "%" else (1.0, "" if self.unit == "1" else self.unit)
+        mean, sd = scale * (self.mean if spec == "+" else abs(self.mean)), scale * self.sd
         if not 0.0 < sd < math.inf:
             return f"{mean:.3g} {unit}".rstrip()
         digits = max(1 - math.floor(math.log10(sd)), 0)
@@ -57,19 +65,19 @@ class FoundEffect:
     name, summary : str
         As in the catalogue; a formula for an effect outside it.
     where : mapping
-        What it is about, e.g. ``{"beams": [2]}``.
+        The beams, landmarks or walls that have it, e.g. ``{"beams": [2]}``; empty for an effect of the whole robot.
     parameters : mapping of str to Estimate
         Its calibrated parameters.
     p_value : float
-        Of its score, or of that of an effect that this log cannot tell from it, before it was added.
+        P-value of its score before it was added, or of the score of an effect that this log cannot distinguish from it.
     log_score_gain, log_score_gain_se : float
         Gain on held-out data [nat] when it was added, and its standard error.
     not_distinguishable_from : tuple of str
-        Effects that this log cannot tell from it.
+        Effects that this log cannot distinguish from it.
     advice : tuple of str
-        What motion would tell them apart.
+        Motions that would distinguish them.
     finding : str
-        What is said of the log, see :class:`~pmcl.models.effects.effect.Effect`; empty for a formula.
+        The sentence about a log that has it, see :class:`~pmcl.models.effects.effect.Effect`; empty for a formula.
     """
 
     name: str
@@ -95,14 +103,15 @@ class Unexplained:
     beams : tuple of int
         Beams or landmarks; empty for all.
     covariate, moment : str
-        What the disagreement depends on, and whether readings are off ("mean") or their spread is ("spread").
+        The covariate that the disagreement depends on, and whether readings are biased ("mean") or have another spread
+        than predicted ("spread").
     interval : tuple of float
-        Where it is worst, in units of the covariate.
+        Values of the covariate, in its unit, between which the disagreement is worst.
     time : tuple of int
-        First and last row where it is worst.
+        First and last row of the interval of rows in which it is worst.
     p_value : float
-        Probability of such an alarm when the model is right, all families of alarms considered (Holm 1979). It can be
-        compared with the rate of false alarms as it is; those of single families are in :attr:`Step.alarms`.
+        Probability of such an alarm when the model is right, all families of alarms considered (Holm 1979). It may be
+        compared with the rate of false alarms directly; p-values of single families are in :attr:`Step.alarms`.
     """
 
     channel: str
@@ -116,7 +125,23 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that was refitted, or only scored (its gain is then NaN); `accepted` tells the one that was added."""
+    """An effect that was tried.
+
+    Attributes
+    ----------
+    name, where
+        As in :class:`FoundEffect`.
+    z, score_p_value : float
+        Its standardised score on the whole log, and the score's p-value.
+    fit_gain, fit_gain_se : float
+        Gain on the fit part [nat] and its standard error; NaN for an effect that was scored but not refitted.
+    log_score_gain, log_score_gain_se : float
+        The same on the held-out part.
+    values : mapping of str to float
+        Its fitted parameters; empty for an effect that was not refitted.
+    accepted : bool
+        Whether it was added to the model.
+    """
 
     name: str
     where: Mapping[str, Any]
@@ -132,22 +157,22 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Step:
-    """One model of the loop and what was done about it.
+    """One model of the loop, and the decision about it.
 
     Attributes
     ----------
     model : tuple of str
-        Effects that the model has.
+        Names of the effects that the model has.
     gap : Gap
-        On held-out data.
+        How well the model predicts held-out data.
     alarms : tuple of Alarm
-        What was unusual.
+        The tests of the log.
     candidates : tuple of Candidate
         Refitted candidates, then the best of those that were only scored.
     decision : str
-        What was done, e.g. "add beam-bias".
+        The decision, e.g. "add beam-bias".
     critical_z : float
-        What the greatest score's deviation exceeds in 5 % of logs without a missing effect; NaN without alarms.
+        Bound that the greatest standardised score exceeds in 5 % of logs without a missing effect.
     """
 
     model: tuple[str, ...]
@@ -159,11 +184,21 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Pass:
-    """One model's pass over the log, for pictures: its fit, its evidence, and what alarms make of it."""
+class JudgedFit:
+    """A model fitted to the whole log, with the log's residuals and tests under it.
+
+    Attributes
+    ----------
+    fit : Fit
+        The fit.
+    scored : ScoredLog
+        Residuals and scores of the log.
+    judgement : Judgement
+        Tests of these numbers.
+    """
 
     fit: Fit
-    evidence: Evidence
+    scored: ScoredLog
     judgement: Judgement
 
 
@@ -176,31 +211,32 @@ class Criticism:
     verdict : str
         "no missing effect", "explained" or "unknown effect".
     sentence : str
-        The verdict in one sentence for people.
+        The verdict in one sentence.
     effects : tuple of FoundEffect
         Accepted effects.
     unexplained : tuple of Unexplained
         Where the final model still disagrees.
     steps : tuple of Step
-        From the base model to the final one.
+        All models from the base model to the final one.
     base, model : RobotModel
-        The model before, and the final one: an ordinary model with the effects in it, for this and other logs of the
-        robot.
+        The base model and the final one. The final model is an ordinary model that has the effects, for this and other
+        logs of the robot.
     before, after : mapping of str to Estimate
-        Parameters of both.
+        Parameters of the base model and of the final model.
     log : RobotLog
-        The log; with an estimate of its path where the final model has formulas that need one.
+        The log; with an estimate of its path if the final model has formulas that need one.
     split : int
         First row of the held-out part.
-    first, last : Pass
-        The first and the last model's pass.
+    first, last : JudgedFit
+        The first and the last model, with the log's tests under each.
     posterior : ArviZ posterior or None
-        The joint calibration of the final model, when there was one; it holds that model, so that
-        :func:`pmcl.localization.offline.localize` and :func:`pmcl.localization.model_choice.model_for` need no more.
+        The posterior of the final model, if full chains were run. It holds that model, so that
+        :func:`pmcl.localization.offline.localize` and :func:`pmcl.localization.model_choice.model_for` need no other
+        input.
     notes : tuple of str
-        What limits the result.
+        Limits of the result.
     settings : mapping
-        Enough to run it again.
+        Settings that reproduce the run.
     """
 
     verdict: str
@@ -214,8 +250,8 @@ class Criticism:
     after: Mapping[str, Estimate]
     log: RobotLog
     split: int
-    first: Pass
-    last: Pass
+    first: JudgedFit
+    last: JudgedFit
     posterior: Any = None
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -227,7 +263,7 @@ class Criticism:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "effects": [_effect(effect) for effect in self.effects],
-            "unexplained": [_unexplained(one) for one in self.unexplained],
+            "unexplained": [_unexplained(disagreement) for disagreement in self.unexplained],
             "steps": [_step(step) for step in self.steps],
             "parameters": {"before": _estimates(self.before), "after": _estimates(self.after)},
             "notes": list(self.notes),
@@ -235,16 +271,21 @@ class Criticism:
         }
 
     def to_json(self) -> str:
-        """Return the JSON text; numbers that are not finite become null."""
+        """Return the JSON text, in which numbers that are not finite are null."""
         return json.dumps(_finite(self.to_dict()), indent=1, allow_nan=False)
 
     def write_model(self, path: str | os.PathLike[str]) -> None:
-        """Write the final model as a model file, all or nothing.
+        """Write the final model as a model file; a failure leaves no partial file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
 
         Raises
         ------
         ModelError
-            When the model has a part or an effect of its user's own, which a file cannot hold.
+            When the model has a part or an effect that its user wrote, which a file cannot hold.
         PosteriorError
             When the file cannot be written.
         """
@@ -253,7 +294,12 @@ class Criticism:
             temporary.write_text(text, encoding="utf-8")
 
     def write_posterior(self, path: str | os.PathLike[str]) -> None:
-        """Write the posterior of the final model, all or nothing.
+        """Write the posterior of the final model; a failure leaves no partial file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
 
         Raises
         ------
@@ -268,13 +314,26 @@ class Criticism:
         write_posterior(self.posterior, path)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the JSON file, all or nothing; raises PosteriorError when it cannot be written."""
+        """Write the JSON file; a failure leaves no partial file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+
+        Raises
+        ------
+        PosteriorError
+            When the file cannot be written.
+        """
         with replacing(path) as temporary:
             temporary.write_text(self.to_json() + "\n", encoding="utf-8")
 
 
 def _estimates(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
-    return {name: {"mean": one.mean, "sd": one.sd, "unit": one.unit} for name, one in estimates.items()}
+    return {
+        name: {"mean": estimate.mean, "sd": estimate.sd, "unit": estimate.unit} for name, estimate in estimates.items()
+    }
 
 
 def _where(where: Mapping[str, Any]) -> dict[str, Any]:
@@ -295,15 +354,15 @@ def _effect(effect: FoundEffect) -> dict[str, Any]:
     }
 
 
-def _unexplained(one: Unexplained) -> dict[str, Any]:
+def _unexplained(disagreement: Unexplained) -> dict[str, Any]:
     return {
-        "channel": one.channel,
-        "beams": list(one.beams),
-        "covariate": one.covariate,
-        "moment": one.moment,
-        "interval": list(one.interval),
-        "time": list(one.time),
-        "p_value": one.p_value,
+        "channel": disagreement.channel,
+        "beams": list(disagreement.beams),
+        "covariate": disagreement.covariate,
+        "moment": disagreement.moment,
+        "interval": list(disagreement.interval),
+        "time": list(disagreement.time),
+        "p_value": disagreement.p_value,
     }
 
 
@@ -317,13 +376,13 @@ def _step(step: Step) -> dict[str, Any]:
         ],
         "candidates": [
             {
-                "name": one.name,
-                "where": _where(one.where),
-                "score_p_value": one.score_p_value,
-                "log_score_gain": one.log_score_gain,
-                "log_score_gain_se": one.log_score_gain_se,
+                "name": candidate.name,
+                "where": _where(candidate.where),
+                "score_p_value": candidate.score_p_value,
+                "log_score_gain": candidate.log_score_gain,
+                "log_score_gain_se": candidate.log_score_gain_se,
             }
-            for one in step.candidates
+            for candidate in step.candidates
         ],
         "decision": step.decision,
     }
@@ -331,9 +390,9 @@ def _step(step: Step) -> dict[str, Any]:
 
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
+        return [_finite(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

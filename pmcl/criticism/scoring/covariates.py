@@ -1,4 +1,4 @@
-"""What a residual may depend on: time, motion, place, and for each reading its distance and direction."""
+"""Covariates on which a residual may depend: time, motion, place, and the geometry of each reading."""
 
 from __future__ import annotations
 
@@ -30,7 +30,15 @@ class RowCovariates(NamedTuple):
 
 
 def row_covariates(log: RobotLog, path: Float) -> RowCovariates:
-    """Return the covariates of each row, motion from odometry and place from the mean path (T, D)."""
+    """Return the covariates of each row.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log; speed and turn rate come from its odometry.
+    path : ndarray, shape (T, D)
+        The mean path; heading and place come from it [m, m, rad].
+    """
     motion, pose = motion_of_rows(log), pose_of_rows(path)
     return RowCovariates(motion["time"], motion["speed"], motion["turn_rate"], pose["heading"], pose["x"], pose["y"])
 
@@ -38,30 +46,30 @@ def row_covariates(log: RobotLog, path: Float) -> RowCovariates:
 def reading_covariates(
     tables: Tables, path: Float, sensor: Int, channel: Int, time: Int, kind: Int
 ) -> dict[str, Float]:
-    """Return covariates of single readings from what each should be along the mean path.
+    """Return covariates of single readings, computed from the ideal reading along the mean path.
 
     Parameters
     ----------
     tables : Tables
-        Of the model.
+        Coefficient tables of the model.
     path : ndarray, shape (T, D)
-        Mean path.
+        The mean path.
     sensor, channel, time, kind : ndarray of int, shape (N,)
-        What each reading is, see :class:`pmcl.filtering.one_step_ahead.Predictions`.
+        The sensor, channel, row and kind of each reading, see :class:`pmcl.filtering.one_step_ahead.Predictions`.
 
     Returns
     -------
     dict of str to ndarray, shape (N,)
-        ``distance`` [m], ``direction`` [rad] in the world, ``incidence`` [rad] for beams (0: square on); NaN where a
-        table type does not tell.
+        ``distance`` [m], ``direction`` [rad] in the world frame, ``incidence`` [rad] for beams (0: perpendicular to
+        the wall); NaN where a sensor does not have the covariate.
     """
     n = time.size
-    found = {name: np.full(n, np.nan) for name in ("distance", "direction", "incidence")}
+    covariates = {name: np.full(n, np.nan) for name in ("distance", "direction", "incidence")}
     for number, table in enumerate(tables.sensors):
-        mine = np.flatnonzero(sensor == number)
-        if mine.size == 0:
+        selected = np.flatnonzero(sensor == number)
+        if selected.size == 0:
             continue
-        index = ReadingIndex((), kind[mine], channel[mine], time[mine], np.full(mine.size, np.nan))
+        index = ReadingIndex((), kind[selected], channel[selected], time[selected], np.full(selected.size, np.nan))
         for name, values in sensor_of(table).covariates(table, path, index).items():
-            found[name][mine] = values
-    return found
+            covariates[name][selected] = values
+    return covariates

@@ -1,7 +1,8 @@
-"""A quick calibration: one chain, seconds instead of minutes, started where something is known already.
+"""A quick calibration by one short chain, which takes seconds instead of minutes.
 
-The same sweeps and transport moves as :mod:`pmcl.sampling` makes, without emcee around them. The critic fits many
-models in turn; the one it ends with is calibrated by several long chains (:func:`pmcl.posterior.calibrate.calibrate`).
+It runs the same sweeps and transport moves as :mod:`pmcl.sampling`, without emcee, and may start from an earlier fit.
+The critic fits many models in this way; its final model is calibrated by several long chains
+(:func:`pmcl.posterior.calibrate.calibrate`).
 """
 
 from __future__ import annotations
@@ -27,27 +28,30 @@ __all__ = ["BRIEF", "GLANCE", "LONG", "THOROUGH", "Effort", "Fit", "quick_fit"]
 
 Float = NDArray[np.float64]
 
+# Standard deviation of the first proposals of transport moves, in unconstrained parameters (chosen by hand).
 _FIRST_PROPOSAL = 0.1
+# Gain of the adaptation of Metropolis steps in each sweep (chosen by hand).
 _GAIN = 0.05
-# A chain whose halves have means further apart than this, in its standard deviations, is still on its way.
+# A chain has not converged when the means of its halves differ by more than this many of its standard deviations; it
+# is then continued up to so many times. Both are chosen by hand.
 _DRIFT, _CONTINUED = 1.3, 3
 
 
 class Effort(NamedTuple):
-    """How much is done for a fit.
+    """Length of a fit.
 
     Attributes
     ----------
     settling : int
-        Sweeps by Gibbs steps alone,
+        Sweeps of burn-in without transport moves.
     rounds : tuple of int
-        sweeps of each round of tuning,
+        Sweeps of each round that tunes the proposals of transport moves.
     draws : int
-        and sweeps that are kept.
+        Sweeps that are kept.
     particles : int
-        Of a sweep.
+        Particles of a sweep.
     passes : int
-        Of the filter that scores the rows of the log afterwards.
+        Passes of the filter that scores the rows of the log afterwards.
     """
 
     settling: int
@@ -57,18 +61,21 @@ class Effort(NamedTuple):
     passes: int = 2
 
 
+# The lengths are chosen by hand; a glance differs from a brief fit by some 4 nats on the logs of
+# analyses/hidden_effects.
 THOROUGH = Effort(12, (30, 40, 60), 150, 24)
+"""Long enough for posterior means and standard deviations."""
 LONG = THOROUGH._replace(draws=300)
-"""For intervals: the standard deviation of a chain of 150 may come out at half of what it is."""
+"""Long enough for intervals: 150 draws may give half of the true standard deviation."""
 BRIEF = Effort(6, (12, 24), 60, 16)
-"""Enough to compare models: an estimate half a standard deviation off costs an eighth of a nat."""
+"""Long enough to compare models: an estimate half a standard deviation off loses an eighth of a nat."""
 GLANCE = Effort(6, (12,), 15, 16, passes=1)
-"""Enough to see which models are far behind others."""
+"""Long enough to find the models that are far behind others."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a quick calibration found.
+    """The result of a quick calibration.
 
     Attributes
     ----------
@@ -77,7 +84,7 @@ class Fit:
     theta, std : ndarray, shape (d,)
         Posterior mean and standard deviation of the parameters.
     draws : ndarray, shape (N, d)
-        The draws they come from.
+        The draws.
     path : ndarray, shape (T, D)
         Posterior mean path, headings not wrapped [m, m, rad].
     path_std : ndarray, shape (T, D)
@@ -117,19 +124,19 @@ def quick_fit(
     bound : BoundModel
         The model bound to one log.
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
     theta : ndarray, shape (d,), optional
-        Where to start; the prior mean when left out.
+        Parameters to start from; when left out, the mean of `draws`, or without these a plausible value.
     path : ndarray, shape (T, D), optional
-        A trajectory to start from; drawn by a filter when left out. Components that the model lacks are left out,
-        those that it has besides start at zero.
+        A trajectory to start from; drawn by a filter when left out. State components that the model lacks are dropped,
+        those that only the model has start at zero.
     draws : ndarray, shape (N, d), optional
-        What an earlier fit of the same model drew, of these rows or others, when there is a path as well. The chain
-        goes on from there: they tune its first moves, it does not settle, and of the rounds of tuning only the last is
-        made.
+        Draws of an earlier fit of the same model, of these rows or others; they need a path as well. The chain goes
+        on from there: they tune its first transport moves, there is no burn-in, and only the last round of tuning is
+        run.
     effort : Effort
-        How long the chain is; while it is still on its way at the end, up to three times as many draws are made and
-        only the last of them kept.
+        Length of the chain. As long as it has not converged at the end, it is continued, up to three times, and only
+        the last part is kept.
 
     Returns
     -------
@@ -147,7 +154,8 @@ def quick_fit(
     if theta is None:
         theta = plausible_theta(bound, rng) if draws is None else draws.mean(axis=0)
     particles = effort.particles
-    # Parameters without statistics cost a density for each proposal, and transport moves change them as well.
+    # A Metropolis step of an effect's parameter costs a density of the whole log, and transport moves change these
+    # parameters as well.
     metropolis = 2 if bound.effects else 5
     if path is None:
         path = np.zeros((bound.lengths[0], state_dimension(bound)))
@@ -170,35 +178,37 @@ def quick_fit(
     plans += [(n, tuning) for n in rounds] + [(effort.draws, replace(tuning, gain=0.0))] * (1 + _CONTINUED)
     kept: list[ChainState] = []
     for number, (length, settings) in enumerate(plans):
-        if number > len(plans) - 1 - _CONTINUED and not _on_its_way(kept):
+        if number > len(plans) - 1 - _CONTINUED and not _drifts(kept):
             break
         if kept:
             later = kept[len(kept) // 3 :]
-            thetas, reference = np.array([one.theta for one in later]), np.mean([one.path for one in later], axis=0)
+            thetas = np.array([state.theta for state in later])
+            reference = np.mean([state.path for state in later], axis=0)
             transport = _tuned(bound, transform, thetas, reference, blind=number == 1 and draws is None)
         kept = []
         for _ in range(length):
             state = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
             kept.append(state)
-    thetas, paths = np.array([one.theta for one in kept]), np.array([one.path for one in kept])
+    thetas, paths = np.array([state.theta for state in kept]), np.array([state.path for state in kept])
     return Fit(bound, thetas.mean(axis=0), thetas.std(axis=0), thetas, paths.mean(axis=0), paths.std(axis=0))
 
 
-def _on_its_way(kept: list[ChainState]) -> bool:
-    thetas = np.array([one.theta for one in kept])
+def _drifts(kept: list[ChainState]) -> bool:
+    """Return whether the means of a chain's halves differ too much."""
+    thetas = np.array([state.theta for state in kept])
     halves = np.array([half.mean(axis=0) for half in np.array_split(thetas, 2)])
     return bool((np.abs(halves[0] - halves[1]) > _DRIFT * thetas.std(axis=0)).any())
 
 
 def _of_size(path: Float, size: int) -> Float:
-    """Return a path (T, D) with components added (at zero) or left out."""
+    """Return a path (T, D) with state components added (at zero) or dropped."""
     if path.shape[1] >= size:
         return np.ascontiguousarray(path[:, :size])
     return np.hstack([path, np.zeros((path.shape[0], size - path.shape[1]))])
 
 
 def _state(bound: BoundModel, theta: Float, path: Float, draws: Float | None) -> ChainState:
-    """Return a first state; steps are a fifth of each parameter, or as wide as earlier draws scatter."""
+    """Return a first state; Metropolis steps are a fifth of each parameter, or the spread of earlier draws."""
     d = theta.size
     log_step = np.log(np.maximum(0.2 * np.abs(theta) if draws is None else draws.std(axis=0), 1e-6))
     return ChainState(
@@ -209,7 +219,21 @@ def _state(bound: BoundModel, theta: Float, path: Float, draws: Float | None) ->
 def _tuned(
     bound: BoundModel, transform: Unconstrained, thetas: Float, reference: Float, *, blind: bool = False
 ) -> Transport | None:
-    """Linearise at the mean of some draws (N, d); with proposals as wide as these scatter, unless `blind`."""
+    """Return transport moves linearised at the mean of some draws.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to one log.
+    transform : Unconstrained
+        Maps parameters to the real line.
+    thetas : ndarray, shape (N, d)
+        The draws; their covariance gives the proposals.
+    reference : ndarray, shape (T, D)
+        The path at which the model is linearised.
+    blind : bool
+        Whether to use proposals of a fixed width instead, because the draws are too few.
+    """
     d = thetas.shape[1]
     if blind:
         proposal = Proposal(_FIRST_PROPOSAL * np.eye(d))

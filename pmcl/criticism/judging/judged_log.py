@@ -1,0 +1,175 @@
+"""A log judged under one fitted model: its scored pass, those of simulated logs, and the alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.criticism.fitting.quick_fit import Fit
+from pmcl.criticism.judging.alarms import Judgement, judge
+from pmcl.criticism.scoring.scored_log import ScoredLog, rescored, score_log
+from pmcl.criticism.scoring.scores import Direction
+from pmcl.criticism.scoring.simulated_logs import replicated_log
+from pmcl.criticism.settings import Settings
+from pmcl.errors import FilterError
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.logs.robot_log import RobotLog
+
+__all__ = ["JudgedLog", "in_doubt", "judge_log", "with_directions", "with_more_simulations", "with_split"]
+
+Float = NDArray[np.float64]
+
+# An alarm whose p-value (all families considered) is above _BEYOND_DOUBT is judged again with _MORE_SIMULATIONS times
+# as many simulated logs: thirty give the spread of a number to an eighth only, so that a p-value of 1 % may be one of
+# 10 %. Both are chosen by hand on logs without a hidden effect (block 0 of analyses/hidden_effects).
+_BEYOND_DOUBT, _MORE_SIMULATIONS = 1e-5, 3
+# The number of simulated logs is at least _LEAST_SIMULATIONS and _PER_PARAMETER for each parameter, because the
+# parameters' scores are projected out of every number (chosen by hand).
+_LEAST_SIMULATIONS, _PER_PARAMETER = 12, 3
+
+
+class JudgedLog(NamedTuple):
+    """A log, the logs that it is compared with, and the alarms.
+
+    Attributes
+    ----------
+    scored : ScoredLog
+        The log.
+    judgement : Judgement
+        Tests of all rows.
+    z : ndarray, shape (K,)
+        Standardised scores of the candidates over the rows of the fit part only.
+    simulated : tuple of ScoredLog
+        Logs that the fitted model simulates.
+    """
+
+    scored: ScoredLog
+    judgement: Judgement
+    z: Float
+    simulated: tuple[ScoredLog, ...]
+
+
+def judge_log(
+    log: RobotLog, fit: Fit, directions: Sequence[Direction], split: int, settings: Settings
+) -> JudgedLog:
+    """Score a log under a fitted model, and compare it with logs that this model simulates.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The whole log, to which `fit` belongs.
+    fit : Fit
+        A fit of the whole log.
+    directions : sequence of Direction
+        K candidates.
+    split : int
+        First row of the held-out part.
+    settings : Settings
+        Settings of the run.
+
+    Returns
+    -------
+    JudgedLog
+
+    Raises
+    ------
+    FilterError
+        When the filter loses the robot of the log, or of a simulated log.
+    """
+    count = max(settings.simulations, _LEAST_SIMULATIONS + _PER_PARAMETER * fit.theta.size)
+    settings.tell(f"scoring {len(directions)} directions, and simulating {count} logs")
+    seed = np.random.SeedSequence((settings.seed, 1))
+    scored = score_log(
+        fit.bound, fit.theta, directions, particles=settings.particles, paths=settings.paths, seed=seed
+    )
+    return _judged(scored, _simulated(log, fit, directions, range(count), settings), directions, split, settings)
+
+
+def in_doubt(judgement: Judgement) -> bool:
+    """Return whether there is an alarm, but none beyond doubt."""
+    return bool(judgement.raised) and judgement.p_value >= _BEYOND_DOUBT
+
+
+def with_more_simulations(
+    before: JudgedLog, log: RobotLog, fit: Fit, directions: Sequence[Direction], split: int, settings: Settings
+) -> JudgedLog:
+    """Judge a log again with three times as many simulated logs.
+
+    A log whose alarm is in doubt is judged again in this way, and the second judgement counts. This can only lower the
+    rate of false alarms.
+
+    Parameters
+    ----------
+    before : JudgedLog
+        The first judgement.
+    log, fit, directions, split, settings
+        As for :func:`judge_log`.
+    """
+    count = len(before.simulated)
+    further = range(count, _MORE_SIMULATIONS * count)
+    settings.tell(f"p = {before.judgement.p_value:.1e}: simulating {len(further)} more logs, to be sure")
+    simulated = [*before.simulated, *_simulated(log, fit, directions, further, settings)]
+    return _judged(before.scored, simulated, directions, split, settings)
+
+
+def _simulated(
+    log: RobotLog, fit: Fit, directions: Sequence[Direction], numbers: range, settings: Settings
+) -> list[ScoredLog]:
+    """Simulate and score logs of the fitted model; the number of a log determines its random numbers."""
+
+    def simulate_and_score(k: int) -> ScoredLog:
+        rng = make_rng(np.random.SeedSequence((settings.seed, 2, numbers[k])))
+        bound = fit.bound.model.bind(replicated_log(log, fit.tables, fit.path, rng))
+        seed = np.random.SeedSequence((settings.seed, 3, numbers[k]))
+        try:
+            return score_log(
+                bound, fit.theta, directions, particles=settings.particles, paths=settings.paths, seed=seed
+            )
+        except FilterError as error:
+            if error.row is None:
+                raise
+            raise FilterError(
+                f"{log.where}: the filter loses the robot at t={log.times[error.row]:g} s of a log that the fitted "
+                "model simulates, so nothing can be judged by such logs; use more particles, or restart with a wider "
+                "start belief"
+            ) from None
+
+    return settings.mapped(simulate_and_score, "simulating logs", [""] * len(numbers))
+
+
+def with_directions(
+    before: JudgedLog, directions: Sequence[Direction], split: int, settings: Settings
+) -> JudgedLog:
+    """Judge other candidates, scored along the trajectories of an earlier judgement.
+
+    Parameters
+    ----------
+    before : JudgedLog
+        The earlier judgement.
+    directions : sequence of Direction
+        The other candidates.
+    split : int
+        First row of the held-out part.
+    settings : Settings
+        Settings of the run.
+    """
+    settings.tell(f"scoring {len(directions)} further directions")
+    logs = [before.scored, *before.simulated]
+    scored, *simulated = settings.mapped(lambda k: rescored(logs[k], directions), "scoring logs", [""] * len(logs))
+    return _judged(scored, simulated, directions, split, settings)
+
+
+def with_split(before: JudgedLog, directions: Sequence[Direction], split: int, settings: Settings) -> JudgedLog:
+    """Judge again with another first row of the held-out part; parameters as for :func:`with_directions`."""
+    return _judged(before.scored, before.simulated, directions, split, settings)
+
+
+def _judged(
+    scored: ScoredLog, simulated: Sequence[ScoredLog], directions: Sequence[Direction], split: int, settings: Settings
+) -> JudgedLog:
+    on_fit = judge(scored, simulated, directions, level=settings.level, rows=split)
+    judgement = judge(scored, simulated, directions, level=settings.level)
+    return JudgedLog(scored, judgement, on_fit.z, tuple(simulated))

@@ -1,0 +1,80 @@
+"""Logs that the fitted model simulates along the path of a recorded log.
+
+The critic computes the same numbers from the recorded log and from some tens of simulated ones. A number is unusual
+only if it is unusual among those. The simulated robot is steered along the fitted path: it gets the commands of the log
+and a soft pull back to the path, because commands alone would lead it through walls. No step is rejected or redrawn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import ModelError
+from pmcl.filtering.kernels.steering import steered_path
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.sensor import sensor_of
+from pmcl.models.starts.table import GaussianStart
+from pmcl.models.tables import Tables
+
+__all__ = ["replicated_log"]
+
+Float = NDArray[np.float64]
+
+# Share of the distance to the path that each step corrects. With it the robot stays within some 2 standard deviations
+# of a step's noise of the path, while its commands differ from those of the log by a third of one.
+_CORRECTED_SHARE = 0.15
+
+
+def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.random.Generator) -> RobotLog:
+    """Simulate a log again from a fitted model.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The recorded log.
+    tables : Tables
+        Coefficient tables of the fitted model for this log; they are not changed.
+    reference : ndarray, shape (T, D)
+        The path along which the robot is steered, headings not wrapped [m, m, rad].
+    rng : numpy.random.Generator
+        A generator of the kind that kernels use, :func:`pmcl.filtering.particle_filter.make_rng`.
+
+    Returns
+    -------
+    RobotLog
+        A log with the same times, map, beams and missing readings, new odometry (that of the log plus the steering)
+        and new readings, without reference trajectory and true parameters.
+
+    Raises
+    ------
+    ModelError
+        When a motion or sensor table of the model cannot be simulated.
+    """
+    mean = getattr(tables.motion, "mean", None)
+    if mean is None or reference.shape[1] < 3:
+        raise ModelError(
+            f"{log.where}: expected motion by increments of a pose, which can be steered, but got a "
+            f"{type(tables.motion).__name__}; criticism needs such a model"
+        )
+    motion = tables.motion._replace(mean=mean.copy())
+    path, correction = steered_path(
+        motion, rng, _start_state(tables, reference, rng), reference, _CORRECTED_SHARE
+    )
+    dataset = log.without_truth().dataset.copy(deep=True)
+    dataset["odometry"].values[1:] += correction[1:]
+    for table in tables.sensors:
+        sensor = sensor_of(table)
+        sensor.store(sensor.simulate(table, path, rng), dataset)
+    return RobotLog.trusted(dataset, f"{log.where} (simulated)")
+
+
+def _start_state(tables: Tables, reference: Float, rng: np.random.Generator) -> Float:
+    """Draw the first state of a Gaussian start belief; without one, return the first state of the reference."""
+    first: Float = reference[0].copy()
+    if isinstance(tables.start, GaussianStart):
+        size = tables.start.mean.size
+        first[:size] = tables.start.mean + tables.start.std * rng.standard_normal(size)
+        # The heading must lie on the same branch as that of the reference.
+        first[2] += 2.0 * np.pi * np.round((reference[0, 2] - first[2]) / (2.0 * np.pi))
+    return first
