@@ -1,10 +1,23 @@
-"""How pmcl compiles: everything that kernels share, and the contract that tables of one's own implement.
+"""What all compiled code shares: how tables look, what a table must implement, and how it is compiled and kept.
 
-Read in this order: :mod:`~.tables` (what a coefficient table is), :mod:`~.contract` (the functions that a table
-implements), :mod:`~.compile` (the decorators), :mod:`~.sensor_tuples` and :mod:`~.parameter_draws` (several sensors, many
-draws of parameters), :mod:`~.linear_readings` and :mod:`~.residuals` (for the transport move and the Metropolis block).
-:mod:`~.functions`, :mod:`~.disk_cache`, :mod:`~.compile_ahead`, :mod:`~.file_lock` and :mod:`~.progress` keep compiled
-code; :mod:`~.vector_math`, :mod:`~.random_numbers`, :mod:`~.student` and :mod:`~.views` are small functions for kernels.
+A model turns its parameters into coefficient tables, plain tuples of arrays; compiled loops
+(:mod:`pmcl.filtering.kernels`) run over any tables that implement the contract. This package knows no sensor and no
+motion: those have rooms of their own under :mod:`pmcl.models`, which register their tables here.
+
+Who writes a table of one's own reads, in this order,
+
+* :mod:`~.tables`: what a table is, its declared axes, and the extras that only effects use;
+* :mod:`~.contract`: the functions that a table implements, which of them are optional, and how arrays are laid out;
+* :mod:`~.compile`: the decorators ``kernel``, ``entry`` and ``generic``;
+* :mod:`~.linear_readings`, and :mod:`~.residuals`: what the transport move, and the Metropolis update of the noises,
+  want of a sensor; without them a model still calibrates, more slowly.
+
+Small functions for kernels: :mod:`~.scalars`, :mod:`~.vector_math`, :mod:`~.student`, :mod:`~.random_numbers` and
+:mod:`~.views`. The contract's functions for more than one table: :mod:`~.sensor_tuples` (several sensors) and
+:mod:`~.parameter_draws` (many draws of the parameters).
+
+How compiled code is made and kept, which only its maintainers need: :mod:`~.functions`, :mod:`~.disk_cache`,
+:mod:`~.compile_ahead`, :mod:`~.file_lock` and :mod:`~.progress`.
 
 The names that tables of one's own need can be imported from this package itself.
 """

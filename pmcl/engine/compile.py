@@ -85,7 +85,8 @@ def generic(prototype: Callable[..., Any]) -> Any:
     -------
     callable
         With the attribute ``register(TableType, *extras types, allocates=False)``, a decorator for implementations:
-        plain functions that numba can compile; one that makes arrays says ``allocates=True`` and runs slower. With
+        plain functions that numba can compile; one that makes arrays says ``allocates=True`` and runs slower (without
+        it, its first compilation raises :class:`~pmcl.errors.ModelError`). With
         types of extras (:mod:`pmcl.engine.tables`) it serves only tables that have such extras.
         An implementation for ``object`` serves all types that have none of their own.
         From Python the call goes to the implementation uncompiled.

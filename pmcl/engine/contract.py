@@ -102,13 +102,11 @@ def linearise_transition(motion, t, before, after, jacobian, offset, precision):
 
 
 @generic
-def linear_information(sensor, geometry, t, precision, shift):
+def linear_information(sensor, linear, t, precision, shift):
     """Add the information of the readings at t about the deviation from the reference.
 
-    Only the lower triangle of `precision` is read.
-
-    `geometry` is what the sensor's Python side prepared at the reference trajectory: see
-    :mod:`pmcl.engine.linear_readings`.
+    Only the lower triangle of `precision` is read. `linear` is what the sensor's Python side prepared at the reference
+    trajectory: mostly :class:`pmcl.engine.linear_readings.LinearReadings`, but a sensor may have a type of its own.
     """
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from llvmlite import binding as llvm
 from numba import njit, types
-from numba.core import caching, sigutils
+from numba.core import caching, errors, sigutils
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags, compile_result
 from numba.core.compiler_lock import global_compiler_lock
@@ -26,6 +26,7 @@ from numba.core.typing.templates import AbstractTemplate
 
 from pmcl.engine.disk_cache import DiskCache
 from pmcl.engine.progress import announce_compilation
+from pmcl.errors import ModelError
 
 __all__ = ["EntryFunction", "InnerFunction", "call_template"]
 
@@ -156,6 +157,19 @@ class _InnerCacheImplementation(caching.CompileResultCacheImpl):
         )
 
 
+# How numba says that a function compiled without memory management makes an array, and that it returns a part of one.
+_SIGNS_OF_ALLOCATION = ("NRT required", "Only accept returning of array")
+
+
+def _allocation_error(function: Callable[..., Any]) -> ModelError:
+    code = function.__code__
+    return ModelError(
+        f"{function.__module__}.{function.__name__} ({code.co_filename}, line {code.co_firstlineno}) makes or returns "
+        "an array, but was declared as a function that does not; let it fill an array that it is given, or, if it "
+        "implements a function for a table, register it with allocates=True"
+    )
+
+
 class InnerFunction(CPUDispatcher):
     """A compiled function that other compiled functions call.
 
@@ -188,7 +202,16 @@ class InnerFunction(CPUDispatcher):
             if _is_known(self, sig):
                 return super().compile(sig)
             with self._cache.alone(self._cache.file_to_come(sig, self.targetctx)):
-                return super().compile(sig)
+                try:
+                    return super().compile(sig)
+                except (errors.NumbaError, TypeError) as error:
+                    if self._may_not_allocate and any(sign in str(error) for sign in _SIGNS_OF_ALLOCATION):
+                        raise _allocation_error(self.py_func) from None
+                    raise
+
+    @property
+    def _may_not_allocate(self) -> bool:
+        return self.targetoptions.get("_nrt", True) is False
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Say what a call returns; a constant is compiled for as any value of its type, not once more for itself."""

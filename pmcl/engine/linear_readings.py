@@ -1,4 +1,9 @@
-"""Readings linearised once around a reference trajectory, for the Gaussian transport move."""
+"""Readings linearised once around a reference trajectory, for the Gaussian transport move.
+
+A sensor's Python side makes :class:`LinearReadings` with :func:`pack_readings`, its function
+:func:`~pmcl.engine.contract.linear_information` reads them. Like a table they have ``extras``: none for plain tables,
+:class:`LinearExtras` for tables with extras.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
+from pmcl.engine.tables import NoExtras
 
-__all__ = ["BEARING", "RANGE", "SIZE", "ReadingGeometry", "RichGeometry", "add_information", "empty_geometry", "enriched", "inlier_share", "pack_geometry", "same_fields", "times_of"]
+__all__ = [
+    "BEARING",
+    "RANGE",
+    "SIZE",
+    "LinearExtras",
+    "LinearReadings",
+    "add_information",
+    "add_linear_extras",
+    "empty_readings",
+    "inlier_share",
+    "pack_readings",
+    "same_fields",
+    "times_of",
+]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -18,7 +37,25 @@ Int = NDArray[np.int64]
 RANGE, BEARING, SIZE = 0, 1, 2
 
 
-class ReadingGeometry(NamedTuple):
+class LinearExtras(NamedTuple):
+    """What only tables with extras need to know of linearised readings.
+
+    Attributes
+    ----------
+    velocity : ndarray, shape (M,)
+        Change of the ideal value over the last step of the reference.
+    distance : ndarray, shape (M,)
+        Distance to what is seen [m].
+    depth : ndarray, shape (M,)
+        Cosine of the angle between it and the optical axis.
+    """
+
+    velocity: Float
+    distance: Float
+    depth: Float
+
+
+class LinearReadings(NamedTuple):
     """What each usable reading would ideally be at the reference trajectory, and its slope there.
 
     Only geometry: biases, scales and noise come from the sensor's table, so that the same linearisation serves every
@@ -36,6 +73,8 @@ class ReadingGeometry(NamedTuple):
         Derivative of the ideal value by the state.
     weight : ndarray, shape (M,)
         Share of the information that is used (the probability that the reading is no gross error, at the reference).
+    extras : NoExtras or LinearExtras
+        What only tables with extras need.
     """
 
     first: Int
@@ -45,42 +84,16 @@ class ReadingGeometry(NamedTuple):
     value: Float
     jacobian: Float
     weight: Float
+    extras: NoExtras | LinearExtras = NoExtras()
 
 
-class RichGeometry(NamedTuple):
-    """A :class:`ReadingGeometry` with what richer tables need beside.
-
-    Attributes
-    ----------
-    first, channel, kind, reading, value, jacobian, weight
-        As for :class:`ReadingGeometry`.
-    velocity : ndarray, shape (M,)
-        Change of the ideal value over the last step of the reference.
-    distance : ndarray, shape (M,)
-        Distance to what is seen [m].
-    depth : ndarray, shape (M,)
-        Cosine of the angle between it and the optical axis.
-    """
-
-    first: Int
-    channel: Int
-    kind: Int
-    reading: Float
-    value: Float
-    jacobian: Float
-    weight: Float
-    velocity: Float
-    distance: Float
-    depth: Float
-
-
-def pack_geometry(
+def pack_readings(
     n_steps: int, time: Int, channel: Int, kind: Int, reading: Float, value: Float, jacobian: Float, weight: Float
-) -> ReadingGeometry:
-    """Sort readings by time into a :class:`ReadingGeometry`; `time` (M,) is the step of each reading."""
+) -> LinearReadings:
+    """Sort readings by time into :class:`LinearReadings`; `time` (M,) is the step of each reading."""
     order = np.argsort(time, kind="stable")
     first = np.searchsorted(time[order], np.arange(n_steps + 1)).astype(np.int64)
-    return ReadingGeometry(
+    return LinearReadings(
         first,
         np.ascontiguousarray(channel[order], dtype=np.int64),
         np.ascontiguousarray(kind[order], dtype=np.int64),
@@ -91,22 +104,23 @@ def pack_geometry(
     )
 
 
-def empty_geometry(*, full: bool) -> ReadingGeometry | RichGeometry:
-    """Return a linearisation without meaning, of either type, for which kernels can be compiled."""
+def empty_readings(*, extras: bool) -> LinearReadings:
+    """Return linearised readings without meaning, with or without extras, for which kernels can be compiled."""
     number, index = np.empty(1), np.empty(1, dtype=np.int64)
-    plain = ReadingGeometry(index, index, index, number, number, np.empty((1, 3)), number)
-    return RichGeometry(*plain, number, number, number) if full else plain
+    plain = LinearReadings(index, index, index, number, number, np.empty((1, 3)), number)
+    return plain._replace(extras=LinearExtras(number, number, number)) if extras else plain
 
 
-def times_of(geometry: ReadingGeometry | RichGeometry) -> Int:
+def times_of(readings: LinearReadings) -> Int:
     """Return the row of each reading, (M,)."""
-    return np.repeat(np.arange(geometry.first.size - 1), np.diff(geometry.first))
+    return np.repeat(np.arange(readings.first.size - 1), np.diff(readings.first))
 
 
-def enriched(geometry: ReadingGeometry, reference: Float, distance: Float, depth: Float) -> RichGeometry:
+def add_linear_extras(readings: LinearReadings, reference: Float, distance: Float, depth: Float) -> LinearReadings:
     """Add distance (M,), depth (M,), and how fast the ideal value changes along the reference (T, D)."""
-    step = np.diff(reference, axis=0, prepend=reference[:1])[times_of(geometry)]
-    return RichGeometry(*geometry, np.einsum("kd,kd->k", geometry.jacobian, step), distance, depth)
+    step = np.diff(reference, axis=0, prepend=reference[:1])[times_of(readings)]
+    velocity = np.einsum("kd,kd->k", readings.jacobian, step)
+    return readings._replace(extras=LinearExtras(velocity, distance, depth))
 
 
 def same_fields(table: Any, other: Any, names: Iterable[str]) -> bool:

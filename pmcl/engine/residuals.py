@@ -2,7 +2,8 @@
 
 Given the trajectory, residuals are computed once. Gaussian noise then needs only sums of squares, so an update costs
 O(1); mixtures and growing noise keep the residuals themselves. Each tuple says which entries of theta it uses in
-`slots`; -1 means that the value is fixed and stands in `value`. A type of statistics registers :func:`theta_logpdf`.
+`theta_index`; -1 means that the value is fixed and stands in `value`. A type of statistics registers
+:func:`theta_logpdf`.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class GaussianSums(NamedTuple):
 
     Attributes
     ----------
-    slots : ndarray of int, shape (G,)
+    theta_index : ndarray of int, shape (G,)
         Entry of theta that is the group's standard deviation.
     value : ndarray, shape (G,)
         The standard deviation where it is fixed.
@@ -43,7 +44,7 @@ class GaussianSums(NamedTuple):
         Number of residuals and their sum of squares.
     """
 
-    slots: Int
+    theta_index: Int
     value: Float
     counts: Float
     squares: Float
@@ -56,15 +57,15 @@ def theta_logpdf(statistics, theta):
 
 @kernel
 def parameter_value(statistics, theta, position):
-    """Return the value of the parameter at `position` of `slots`: of theta, or the fixed one."""
-    slot = statistics.slots[position]
-    return theta[slot] if slot >= 0 else statistics.value[position]
+    """Return the value of the parameter at `position` of `theta_index`: of theta, or the fixed one."""
+    entry = statistics.theta_index[position]
+    return theta[entry] if entry >= 0 else statistics.value[position]
 
 
 @theta_logpdf.register(GaussianSums)
 def _gaussian(statistics, theta):
     value = 0.0
-    for group in range(statistics.slots.size):
+    for group in range(statistics.theta_index.size):
         std = parameter_value(statistics, theta, group)
         value -= statistics.counts[group] * math.log(std) + 0.5 * statistics.squares[group] / (std * std)
     return value

@@ -60,10 +60,10 @@ def sum_path_logpdf(sensors, n_steps, path, logp, scratch):
         path_reading_logpdf(sensor, n_steps, path, logp, scratch)
 
 
-def sum_information(sensors, geometries, t, precision, shift):
+def sum_information(sensors, linear_readings, t, precision, shift):
     """Add the linearised information of all readings at time t."""
-    for sensor, geometry in zip(sensors, geometries, strict=True):
-        linear_information(sensor, geometry, t, precision, shift)
+    for sensor, linear in zip(sensors, linear_readings, strict=True):
+        linear_information(sensor, linear, t, precision, shift)
 
 
 def is_empty(sensors):
@@ -145,16 +145,16 @@ def _sum_path_logpdf(sensors, n_steps, path, logp, scratch):
 
 
 @overload_for_types(sum_information)
-def _sum_information(sensors, geometries, t, precision, shift):
+def _sum_information(sensors, linear_readings, t, precision, shift):
     if is_empty(sensors):
-        return lambda sensors, geometries, t, precision, shift: None
+        return lambda sensors, linear_readings, t, precision, shift: None
     if is_single(sensors):
-        return lambda sensors, geometries, t, precision, shift: linear_information(
-            sensors[0], geometries[0], t, precision, shift
+        return lambda sensors, linear_readings, t, precision, shift: linear_information(
+            sensors[0], linear_readings[0], t, precision, shift
         )
 
-    def both(sensors, geometries, t, precision, shift):
-        linear_information(sensors[0], geometries[0], t, precision, shift)
-        sum_information(sensors[1:], geometries[1:], t, precision, shift)
+    def both(sensors, linear_readings, t, precision, shift):
+        linear_information(sensors[0], linear_readings[0], t, precision, shift)
+        sum_information(sensors[1:], linear_readings[1:], t, precision, shift)
 
     return both

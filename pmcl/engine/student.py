@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 
 from pmcl.engine.compile import kernel
+from pmcl.engine.scalars import HALF_LOG_2PI
 
-__all__ = ["interval_probability", "log_normal_tail", "log_upper_tail", "student_constant", "student_logpdf", "upper_tail"]
+__all__ = [
+    "interval_probability", "log_normal_tail", "log_upper_tail", "student_constant", "student_logpdf", "upper_tail",
+]  # fmt: skip
 
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 # Below this, differences of log gamma functions lose more digits than the series in a leaves out.
 _NEARLY_NORMAL = 1e-4
 _TINY = 1e-300
@@ -23,17 +25,17 @@ def log_normal_tail(x):
     """Return the log of the probability that a standard normal exceeds x, also far out in the tail."""
     if x < 25.0:
         return math.log(0.5 * math.erfc(x * math.sqrt(0.5)))
-    return -0.5 * x * x - math.log(x) - _HALF_LOG_2PI - 1.0 / (x * x)
+    return -0.5 * x * x - math.log(x) - HALF_LOG_2PI - 1.0 / (x * x)
 
 
 @kernel
 def student_constant(a):
     """Return the log density at zero."""
     if a <= 0.0:
-        return -_HALF_LOG_2PI
+        return -HALF_LOG_2PI
     if a < _NEARLY_NORMAL:
         # Stirling's series for log gamma((v + 1) / 2) - log gamma(v / 2) - log(v / 2) / 2, v = 1 / a.
-        return -_HALF_LOG_2PI - 0.25 * a + a**3 / 24.0
+        return -HALF_LOG_2PI - 0.25 * a + a**3 / 24.0
     half = 0.5 / a
     return math.lgamma(half + 0.5) - math.lgamma(half) + 0.5 * math.log(a / math.pi)
 

@@ -56,16 +56,16 @@ def _sampling(tables: Tables) -> list[Call]:
     """Return the calls of a particle Gibbs sweep with its transport moves, in their order."""
     rng, path = make_rng(0), np.empty((1, int(state_size(tables.motion))))
     calls: list[Call] = [
-        (smc.sweep, (tables, rng, 1, 1, True, path)),
+        (smc.redraw_path, (tables, rng, 1, 1, True, path)),
         (smc.joint_terms, (tables, path)),
     ]
-    geometries = tuple(sensor_of(sensor).linearisation_like(sensor) for sensor in tables.sensors)
-    if all(geometry is not None for geometry in geometries):
+    linear_readings = tuple(sensor_of(sensor).linearisation_like(sensor) for sensor in tables.sensors)
+    if all(linear is not None for linear in linear_readings):
         starts, logs = np.empty(1, dtype=np.int64), np.empty(1)
         calls += [
-            (linear.factorise, (tables, geometries, path)),
-            (linear.refresh_blocks, (tables, geometries, path, path, starts, path, logs)),
-            (linear.transport_trial, (tables, geometries, path, path, path, path, path)),
+            (linear.factorise, (tables, linear_readings, path)),
+            (linear.refresh_blocks, (tables, linear_readings, path, path, starts, path, logs)),
+            (linear.transport_trial, (tables, linear_readings, path, path, path, path, path)),
         ]
     return calls
 

@@ -204,7 +204,7 @@ def sweep_path(
     FilterError
         When a density is not a number, or a transition has no density.
     """
-    status, t, log_evidence, effective, changed = smc.sweep(
+    status, t, log_evidence, effective, changed = smc.redraw_path(
         tables, rng, n_steps, n_particles, kernel == "conditional", path
     )
     if status == smc.ALL_ZERO:

@@ -91,7 +91,7 @@ def block_statistics(
 
 
 def _reslotted(statistics: Any, rank: NDArray[np.int64]) -> NamedTuple:
-    moved: NamedTuple = statistics._replace(slots=rank[statistics.slots])
+    moved: NamedTuple = statistics._replace(theta_index=rank[statistics.theta_index])
     return moved
 
 
@@ -102,7 +102,7 @@ def _merged(found: list[NamedTuple]) -> tuple[NamedTuple, ...]:
     if not sums:
         return tuple(others)
     joined = GaussianSums(
-        np.concatenate([s.slots for s in sums]),
+        np.concatenate([s.theta_index for s in sums]),
         np.concatenate([s.value for s in sums]),
         np.concatenate([s.counts for s in sums]),
         np.concatenate([s.squares for s in sums]),

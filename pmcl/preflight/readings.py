@@ -12,6 +12,7 @@ from scipy.special import ndtr
 
 from pmcl.logs.arrays import LogArrays
 from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
+from pmcl.models.sensors.range_beams.table import OPEN_RAY
 from pmcl.preflight.hypotheses import Hypothesis
 from pmcl.preflight.stretch import RowReadings
 
@@ -152,7 +153,7 @@ class Sensors:
         length = self._lengths(read, way, x, y, heading)
         std = level[:, None, None] * self.noise.beam
         factor, longest = self.range_factor[way, None, None], self.max_range[way, None, None]
-        length = np.minimum(length, 2.0 * longest)
+        length = np.minimum(length, OPEN_RAY * longest)
         told = np.where(np.isfinite(read.length), read.length, np.inf)[None, :, None] * factor
         nothing = told >= longest
         zero = (read.length == 0.0)[None, :, None]

@@ -101,13 +101,13 @@ def test_two_models_run_twice_are_compiled_once_each():
         sweep_path(chain, np.zeros((4, 1)), 4, 5, rng, "smoothing")
 
     run()
-    known = len(smc.sweep.signatures)
-    handled = sum(smc.sweep.stats.cache_hits.values()) + sum(smc.sweep.stats.cache_misses.values())
+    known = len(smc.redraw_path.signatures)
+    handled = sum(smc.redraw_path.stats.cache_hits.values()) + sum(smc.redraw_path.stats.cache_misses.values())
     run()
     # Neither other numbers, nor other lengths, nor the other kernel make another program.
     sweep_path(rail, np.full((6, 1), 50.0), 4, 9, rng, "conditional")
-    assert len(smc.sweep.signatures) == known
-    assert sum(smc.sweep.stats.cache_hits.values()) + sum(smc.sweep.stats.cache_misses.values()) == handled
+    assert len(smc.redraw_path.signatures) == known
+    assert sum(smc.redraw_path.stats.cache_hits.values()) + sum(smc.redraw_path.stats.cache_misses.values()) == handled
 
 
 def test_tables_of_one_model_have_one_type():
@@ -119,7 +119,7 @@ def test_tables_of_one_model_have_one_type():
     assert len(kinds) == 1
 
 
-def _file_of(signature=(1,), function=smc.sweep):
+def _file_of(signature=(1,), function=smc.redraw_path):
     return function._cache.file_of(signature, function.targetctx.codegen())
 
 
@@ -133,7 +133,7 @@ def test_the_file_changes_with_any_kernel_source(monkeypatch):
 def test_the_file_changes_with_the_function_its_signature_and_how_it_is_compiled(tmp_path):
     names = {_file_of().name, _file_of((2,)).name, _file_of((1,), smc.joint_terms).name}
     names |= {_file_of((1,), function).name for function in (exp_into, smc.work_rows)}
-    sweep = smc.sweep
+    sweep = smc.redraw_path
     other = DiskCache(sweep.py_func, {"nogil": False}, sweep._cache._make)
     names.add(other.file_of((1,), sweep.targetctx.codegen()).name)
     assert len(names) == 6

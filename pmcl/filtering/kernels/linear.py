@@ -16,8 +16,10 @@ then d[t] above stands for the unbent deviation, and everything else holds as it
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmcl.engine.compile import entry, kernel
 from pmcl.engine.contract import (
@@ -29,9 +31,27 @@ from pmcl.engine.contract import (
 )
 from pmcl.engine.sensor_tuples import sum_information
 from pmcl.engine.vector_math import total
-from pmcl.filtering.kernels.smc import joint, work_rows
+from pmcl.filtering.kernels.smc import joint_logpdf, work_rows
 
-__all__ = ["carry", "factorise", "refresh_blocks", "transport_trial"]
+__all__ = ["Factors", "carry", "factorise", "refresh_blocks", "transport_trial"]
+
+Float = NDArray[np.float64]
+
+
+class Factors(NamedTuple):
+    """The factorisation of a linearised path.
+
+    Attributes
+    ----------
+    factor, gain : ndarray, shape (T, D * D)
+        C[t] (its lower triangle; the rest is undefined) and K[t], row by row.
+    centre : ndarray, shape (T, D)
+        k[t].
+    """
+
+    factor: Float
+    gain: Float
+    centre: Float
 
 
 @kernel
@@ -67,11 +87,11 @@ def _solve(c, inverse_diagonal, b, begin, stride, size):
 
 
 @kernel
-def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size):
+def _eliminate(tables, linear_readings, reference, path, begin, stop, factors, work, size):
     """Eliminate the rows begin ... stop - 1 forward in time, given their neighbours in `path` where they have any.
 
-    `factor` and `gain` are (T, D * D), `centre` (T, D). `size` must be the constant D: the small loops are then
-    unrolled; matrices are flat for the same reason. Returns the log determinant.
+    `factors` are filled. `size` must be the constant D: the small loops are then unrolled; matrices are flat for the
+    same reason. Returns the log determinant.
     """
     n_steps = reference.shape[0]
     square = size * size
@@ -101,7 +121,7 @@ def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, c
                 shift[i] += noise[i * size + k] * offset[k]
     log_determinant = 0.0
     for t in range(begin, stop):
-        sum_information(tables.sensors, geometries, t, information_2d, shift)
+        sum_information(tables.sensors, linear_readings, t, information_2d, shift)
         inner = t < stop - 1
         if t < n_steps - 1:
             linearise_transition(tables.motion, t + 1, reference[t], reference[t + 1], jacobian_2d, offset, noise_2d)
@@ -130,7 +150,7 @@ def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, c
                     for k in range(size):
                         value += jacobian[k * size + i] * weighted[k * size + j]
                     information[i * size + j] = value
-        c, k_t, centre_t = factor[t], gain[t], centre[t]
+        c, k_t, centre_t = factors.factor[t], factors.gain[t], factors.centre[t]
         if not _cholesky(information, c, size):
             return -np.inf
         determinant = 1.0
@@ -161,14 +181,14 @@ def _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, c
 
 
 @entry
-def factorise(tables, geometries, reference):
+def factorise(tables, linear_readings, reference):
     """Factorise the linearised path of one log.
 
     Parameters
     ----------
     tables : Tables
         Coefficients under some theta.
-    geometries : tuple of ReadingGeometry
+    linear_readings : tuple of LinearReadings
         The readings, linearised at the reference.
     reference : ndarray, shape (T, D)
         The reference trajectory.
@@ -186,14 +206,15 @@ def factorise(tables, geometries, reference):
     factor, gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     centre, work = np.empty((n_steps, size)), np.empty(4 * size * size + 4 * size)
     log_determinant = _eliminate(
-        tables, geometries, reference, reference, np.int64(0), n_steps, factor, gain, centre, work, size
+        tables, linear_readings, reference, reference, np.int64(0), n_steps, Factors(factor, gain, centre), work, size
     )
     return log_determinant, factor, gain, centre
 
 
 @kernel
-def _standardise(motion, t, inner, path, reference, c, k_t, centre_t, z, size):
+def _standardise(motion, t, inner, path, reference, factors, z, size):
     """Write z[t] of a path into `z`: C^T (deviation - centre - gain deviation[t + 1])."""
+    c, k_t, centre_t = factors.factor[t], factors.gain[t], factors.centre[t]
     if t < path.shape[0] - 1:
         deviation_of_state(motion, t, reference, path[t + 1], path[t], z)
     else:
@@ -213,8 +234,9 @@ def _standardise(motion, t, inner, path, reference, c, k_t, centre_t, z, size):
 
 
 @kernel
-def _realise(motion, t, inner, out, reference, c, k_t, centre_t, z, size):
+def _realise(motion, t, inner, out, reference, factors, z, size):
     """Write the state at t that has standardised deviation `z` into ``out[t]``; `z` is overwritten."""
+    c, k_t, centre_t = factors.factor[t], factors.gain[t], factors.centre[t]
     for i in range(size - 1, -1, -1):
         value = z[i]
         for k in range(i + 1, size):
@@ -234,29 +256,25 @@ def _realise(motion, t, inner, out, reference, c, k_t, centre_t, z, size):
 
 
 @kernel
-def _carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, z, size):
+def carry(motion, path, reference, factors, new_factors, out, z, size):
+    """Write the path that has the same z under the new factors as `path` has under the old ones into `out` (T, D).
+
+    `z` (D,) is work space, and `size` is D.
+    """
     n_steps = path.shape[0]
     for t in range(n_steps - 1, -1, -1):
         inner = t < n_steps - 1
-        _standardise(motion, t, inner, path, reference, factor[t], gain[t], centre[t], z, size)
-        _realise(motion, t, inner, out, reference, new_factor[t], new_gain[t], new_centre[t], z, size)
+        _standardise(motion, t, inner, path, reference, factors, z, size)
+        _realise(motion, t, inner, out, reference, new_factors, z, size)
 
 
 @entry
-def carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
-    """Return the path (T, D) that has the same z under the new factorisation as `path` has under the old one."""
-    out, size = np.empty_like(path), state_size(motion)
-    _carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre, out, np.empty(size), size)
-    return out
-
-
-@entry
-def transport_trial(tables, geometries, reference, path, factor, gain, centre):
+def transport_trial(tables, linear_readings, reference, path, factor, gain, centre):
     """Carry a path to another theta and evaluate it there: one call does all the compiled work of a transport move.
 
     Parameters
     ----------
-    tables, geometries, reference
+    tables, linear_readings, reference
         As for :func:`factorise`, at the proposed theta.
     path : ndarray, shape (T, D)
         The current path.
@@ -276,43 +294,32 @@ def transport_trial(tables, geometries, reference, path, factor, gain, centre):
     new_factor, new_gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
     new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
     work, columns = np.empty(4 * size * size + 4 * size), np.empty((size, n_steps))
+    new_factors = Factors(new_factor, new_gain, new_centre)
     log_determinant = _eliminate(
-        tables, geometries, reference, path, np.int64(0), n_steps, new_factor, new_gain, new_centre, work, size
+        tables, linear_readings, reference, path, np.int64(0), n_steps, new_factors, work, size
     )
     if log_determinant == -np.inf:
         return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
-    _carry(
-        tables.motion,
-        path,
-        reference,
-        factor,
-        gain,
-        centre,
-        new_factor,
-        new_gain,
-        new_centre,
-        carried,
-        work[:size],
-        size,
-    )
+    old_factors = Factors(factor, gain, centre)
+    carry(tables.motion, path, reference, old_factors, new_factors, carried, work[:size], size)
     for t in range(n_steps):
         for d in range(size):
             columns[d, t] = carried[t, d]
-    log_joint = joint(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
+    log_joint = joint_logpdf(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
     return log_joint, log_determinant, new_factor, new_gain, new_centre, carried
 
 
 @kernel
-def _redraw(motion, path, reference, begin, stop, factor, gain, centre, noise, out, z, size):
+def _redraw(motion, path, reference, begin, stop, factors, noise, out, z, size):
     """Draw the rows begin ... stop - 1 anew into `out`; return half the change of the squared norm of z."""
     change = 0.0
     for t in range(stop - 1, begin - 1, -1):
         inner = t < stop - 1
-        _standardise(motion, t, inner, path, reference, factor[t], gain[t], centre[t], z, size)
+        _standardise(motion, t, inner, path, reference, factors, z, size)
         for i in range(size):
             change += 0.5 * (noise[t, i] * noise[t, i] - z[i] * z[i])
             z[i] = noise[t, i]
-        _realise(motion, t, inner, out, reference, factor[t], gain[t], centre[t], z, size)
+        _realise(motion, t, inner, out, reference, factors, z, size)
     return change
 
 
@@ -321,11 +328,11 @@ def _joint_rows(tables, path, columns, rows, scratch):
     for t in range(path.shape[0]):
         for d in range(path.shape[1]):
             columns[d, t] = path[t, d]
-    return joint(tables, columns, rows, scratch)
+    return joint_logpdf(tables, columns, rows, scratch)
 
 
 @entry
-def refresh_blocks(tables, geometries, reference, path, starts, noise, log_uniform):
+def refresh_blocks(tables, linear_readings, reference, path, starts, noise, log_uniform):
     """Redraw a trajectory block by block from the linearised model, each block given its neighbours, in place.
 
     Every second block is proposed at once, then the others: blocks that do not touch are independent given the rest, so
@@ -334,7 +341,7 @@ def refresh_blocks(tables, geometries, reference, path, starts, noise, log_unifo
 
     Parameters
     ----------
-    tables, geometries, reference
+    tables, linear_readings, reference
         As for :func:`factorise`, at the current theta.
     path : ndarray, shape (T, D)
         The trajectory; it is changed.
@@ -354,7 +361,7 @@ def refresh_blocks(tables, geometries, reference, path, starts, noise, log_unifo
     """
     n_steps, size = reference.shape[0], state_size(tables.motion)
     n_blocks = starts.size - 1
-    factor, gain, centre = np.empty((n_steps, size * size)), np.empty((n_steps, size * size)), np.empty((n_steps, size))
+    factors = Factors(np.empty((n_steps, size * size)), np.empty((n_steps, size * size)), np.empty((n_steps, size)))
     work, z = np.empty(4 * size * size + 4 * size), np.empty(size)
     columns, scratch = np.empty((size, n_steps)), np.empty((work_rows(tables), max(n_steps, size)))
     rows, new_rows, log_ratio = np.empty(n_steps), np.empty(n_steps), np.empty(n_blocks)
@@ -368,10 +375,12 @@ def refresh_blocks(tables, geometries, reference, path, starts, noise, log_unifo
         for block in range(parity, n_blocks, 2):
             begin, stop = starts[block], starts[block + 1]
             log_ratio[block] = -np.inf
-            found = _eliminate(tables, geometries, reference, path, begin, stop, factor, gain, centre, work, size)
-            if found > -np.inf:
+            log_determinant = _eliminate(
+                tables, linear_readings, reference, path, begin, stop, factors, work, size
+            )
+            if log_determinant > -np.inf:
                 log_ratio[block] = _redraw(
-                    tables.motion, path, reference, begin, stop, factor, gain, centre, noise, proposed, z, size
+                    tables.motion, path, reference, begin, stop, factors, noise, proposed, z, size
                 )
         _joint_rows(tables, proposed, columns, new_rows, scratch)
         for block in range(parity, n_blocks, 2):

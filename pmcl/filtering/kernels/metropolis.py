@@ -10,14 +10,14 @@ from numba import types
 from pmcl.engine.compile import entry, kernel, overload_for_types
 from pmcl.engine.residuals import theta_logpdf
 
-__all__ = ["log_prior", "metropolis_block", "statistics_logpdf"]
+__all__ = ["log_prior", "metropolis_block"]
 
 
 @kernel
-def _depends(slots, k):
+def _depends(theta_index, k):
     found = False
-    for position in range(slots.size):
-        found |= slots[position] == k
+    for position in range(theta_index.size):
+        found |= theta_index[position] == k
     return found
 
 
@@ -50,7 +50,7 @@ def log_prior(priors, k, x):
 def _update_terms(parts, position, theta, k, terms, trial):
     """Write the log density of every part that uses theta[k] into `trial`; copy the others from `terms`."""
     for offset, part in enumerate(parts):
-        if k < 0 or (part.slots == k).any():
+        if k < 0 or (part.theta_index == k).any():
             trial[position + offset] = theta_logpdf(part, theta)
         else:
             trial[position + offset] = terms[position + offset]
@@ -62,7 +62,7 @@ def _update_terms_compiled(parts, position, theta, k, terms, trial):
         return lambda parts, position, theta, k, terms, trial: None
 
     def update(parts, position, theta, k, terms, trial):
-        if k < 0 or _depends(parts[0].slots, k):
+        if k < 0 or _depends(parts[0].theta_index, k):
             trial[position] = theta_logpdf(parts[0], theta)
         else:
             trial[position] = terms[position]
@@ -80,16 +80,8 @@ def _change(trial, terms):
 
 
 @entry
-def statistics_logpdf(parts, theta):
-    """Return the sum of the log densities of all statistics at `theta` (d,)."""
-    terms = np.zeros(len(parts))
-    _update_terms(parts, 0, theta, -1, terms, terms)
-    return _change(terms, np.zeros(len(parts)))
-
-
-@entry
-def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts, accepted):
-    """Update `theta` (d,) in place by `n_sweeps` rounds of one-dimensional Gaussian proposals (eq. 17).
+def metropolis_block(rng, theta, log_step, n_rounds, gain, target, priors, parts, accepted):
+    """Update `theta` (d,) in place by `n_rounds` rounds of one-dimensional Gaussian proposals (eq. 17).
 
     Parameters
     ----------
@@ -97,7 +89,7 @@ def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts
         Source of randomness.
     theta, log_step : ndarray, shape (d,)
         Parameters, and logs of the proposals' standard deviations.
-    n_sweeps : int
+    n_rounds : int
         The paper's m.
     gain, target : float
         During burn-in each proposal moves log_step by ``gain * (accepted - target)`` (Robbins and Monro); afterwards
@@ -113,7 +105,7 @@ def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts
     _update_terms(parts, 0, theta, -1, terms, terms)
     for k in range(theta.size):
         accepted[k] = 0.0
-    for _ in range(n_sweeps):
+    for _ in range(n_rounds):
         for k in range(theta.size):
             old = theta[k]
             theta[k] = old + math.exp(log_step[k]) * rng.standard_normal()
@@ -126,7 +118,7 @@ def metropolis_block(rng, theta, log_step, n_sweeps, gain, target, priors, parts
             if yes:
                 for i in range(terms.size):
                     terms[i] = trial[i]
-                accepted[k] += 1.0 / n_sweeps
+                accepted[k] += 1.0 / n_rounds
             else:
                 theta[k] = old
             log_step[k] += gain * ((1.0 if yes else 0.0) - target)

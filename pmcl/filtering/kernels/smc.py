@@ -7,8 +7,10 @@ Bowling and Musilek (2006).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmcl.engine.compile import entry, kernel
 from pmcl.engine.contract import (
@@ -48,18 +50,81 @@ __all__ = [
     "NOT_A_NUMBER",
     "NO_ANCESTOR",
     "filter_pass",
-    "joint",
+    "joint_logpdf",
     "joint_terms",
     "motion_terms",
     "predictive_pass",
+    "redraw_path",
     "sample_backward",
     "sensor_terms",
-    "sweep",
     "work_rows",
 ]
 
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
 # How many particles are weighed when one state of a trajectory is drawn backward.
 _WEIGHED = 32
+
+
+class History(NamedTuple):
+    """What a pass of the filter leaves, and what backward sampling needs.
+
+    Attributes
+    ----------
+    particles : ndarray, shape (T, D, n)
+        The states.
+    log_weights : ndarray, shape (T, n)
+        Logs of their weights, not normalised.
+    ancestors : ndarray of uint32, shape (T, n)
+        The parent of each particle; row 0 means nothing.
+    """
+
+    particles: Float
+    log_weights: Float
+    ancestors: NDArray[np.uint32]
+
+
+class FilterWork(NamedTuple):
+    """The arrays of one pass of the filter.
+
+    Attributes
+    ----------
+    history : History
+        Filled.
+    steps : ndarray, shape (T, 2)
+        Filled with the increment of the log evidence by each step, and the effective sample size.
+    previous : ndarray, shape (D, n)
+        Work space: the resampled states.
+    scratch : ndarray, shape (rows, n)
+        Work space, as many rows as :func:`work_rows` says.
+    """
+
+    history: History
+    steps: Float
+    previous: Float
+    scratch: Float
+
+
+class BackwardWork(NamedTuple):
+    """Work space of backward sampling; m is how many particles are weighed for each state but the last, at most n.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (n,)
+        Weights of the last row.
+    drawn : ndarray of int, shape (m,)
+        The particles that are weighed.
+    states : ndarray, shape (2, D, m)
+        Their states, and the state after them.
+    scratch : ndarray, shape (rows, m)
+        As many rows as :func:`work_rows` says.
+    """
+
+    weights: Float
+    drawn: Int
+    states: Float
+    scratch: Float
 
 
 @kernel
@@ -78,35 +143,21 @@ def _effective_size(weights, weight_sum):
 
 
 @kernel
-def _forward(
-    tables,
-    rng,
-    n_steps,
-    scheme,
-    threshold,
-    conditional,
-    path,
-    record,
-    particles,
-    log_weights,
-    steps,
-    ancestors,
-    previous,
-    scratch,
-):
+def _forward(tables, rng, n_steps, scheme, threshold, conditional, path, record, arrays):
     """Run the filter (eqs. 1 and 2) over the first `n_steps` rows.
 
-    With `conditional`, slot 0 follows `path` and the other slots choose their parents independently (conditional SMC:
+    With `conditional`, particle 0 follows `path` and the others choose their parents independently (conditional SMC:
     Andrieu, Doucet, Holenstein 2010). Weights are reset by resampling only where something was measured since the
-    last time: whether it was does not depend on the particles, so this keeps the conditional kernel exact.
+    last time: whether it was does not depend on the particles, so this keeps conditional SMC exact.
 
-    `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `steps` (T, 2) receives the log
-    of each step's evidence increment and the effective sample size; `ancestors` (T, n) the parents.
-    Returns (status, time, log evidence).
+    `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `arrays` is a
+    :class:`FilterWork`. Returns (status, time, log evidence).
     """
+    particles, log_weights, ancestors = arrays.history
+    steps, previous = arrays.steps, arrays.previous
     size, n = particles.shape[1], particles.shape[2]
     # What resampling needs is no longer needed when a model uses its scratch space.
-    weights, draft, work = scratch[0], scratch[1:3], scratch[1:]
+    weights, draft, work = arrays.scratch[0], arrays.scratch[1:3], arrays.scratch[1:]
     log_evidence, log_norm = 0.0, math.log(n)
     weighted = False
     weight_sum = float(n)
@@ -158,7 +209,7 @@ def _forward(
 
 
 @kernel
-def _state_before(tables, rng, t, ancestor, particles, log_weights, path, drawn, states, work):
+def _state_before(tables, rng, t, ancestor, history, path, arrays):
     """Choose the state at t that leads to ``path[t + 1]`` (eq. 5); return (status, which).
 
     Its weight is w_t p(x_t+1 | x_t), times the density of the next readings where those look back. Of many particles
@@ -166,8 +217,9 @@ def _state_before(tables, rng, t, ancestor, particles, log_weights, path, drawn,
     law of eq. 5 itself, and a choice among it and rivals by their weights leaves that law as it is (conditional
     importance resampling; compare Dau and Chopin, On backward smoothing algorithms, 2023).
     """
+    particles, log_weights, drawn, work = history.particles, history.log_weights, arrays.drawn, arrays.scratch
     size, n, count = particles.shape[1], particles.shape[2], drawn.size
-    before, after, log_b, b = states[0], states[1], work[0], work[1]
+    before, after, log_b, b = arrays.states[0], arrays.states[1], work[0], work[1]
     if count == n:
         before = particles[t]
         for j in range(n):
@@ -196,23 +248,22 @@ def _state_before(tables, rng, t, ancestor, particles, log_weights, path, drawn,
 
 
 @kernel
-def _backward(tables, rng, n_steps, particles, log_weights, ancestors, path, weights, drawn, states, work):
-    """Draw one trajectory backward in time (eqs. 3 to 7) into `path` (T, D).
+def _backward(tables, rng, n_steps, history, path, arrays):
+    """Draw one trajectory backward in time (eqs. 3 to 7) into `path` (T, D); `arrays` is a :class:`BackwardWork`.
 
-    The last state is drawn with the filter's weights. `weights` (n,), `drawn` (m,), `states` (2, D, m) and `work`
-    (rows, m) are work space; m is how many particles are weighed for each other state, at most n.
-    Returns (status, time, number of states that differ from what `path` held).
+    The last state is drawn with the filter's weights. Returns (status, time, number of states that differ from what
+    `path` held).
     """
+    particles = history.particles
     size, changed = particles.shape[1], 0
-    status, _, weight_sum = normalise(log_weights[n_steps - 1], weights)
+    status, _, weight_sum = normalise(history.log_weights[n_steps - 1], arrays.weights)
     if status != FINE:
         return status, n_steps - 1, changed
-    chosen = draw_index(weights, weight_sum, rng)
+    chosen = draw_index(arrays.weights, weight_sum, rng)
     for t in range(n_steps - 1, -1, -1):
         if t < n_steps - 1:
-            status, chosen = _state_before(
-                tables, rng, t, ancestors[t + 1, chosen], particles, log_weights, path, drawn, states, work
-            )  # fmt: skip
+            ancestor = history.ancestors[t + 1, chosen]
+            status, chosen = _state_before(tables, rng, t, ancestor, history, path, arrays)
         if status != FINE:
             return status, t, changed
         different = False
@@ -233,10 +284,11 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
     size = state_size(tables.motion)
     particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
     steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
+    history = History(particles, log_weights, ancestors)
+    arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
     status, t, log_evidence = _forward(
-        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0),
-        particles, log_weights, steps, ancestors, np.empty((size, n)), np.empty((work_rows(tables), n)),
-    )  # fmt: skip
+        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0), arrays
+    )
     return status, t, log_evidence, particles, log_weights, steps, ancestors
 
 
@@ -252,11 +304,12 @@ def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
     steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
     slots = count_slots(tables.sensors, n_steps)
     log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
+    history = History(particles, log_weights, ancestors)
+    arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
+    record = OneByOne(n_steps, log_score, low, high, np.empty((6, n)))
     status, t, log_evidence = _forward(
-        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)),
-        OneByOne(n_steps, log_score, low, high, np.empty((6, n))), particles, log_weights, steps,
-        ancestors, np.empty((size, n)), np.empty((work_rows(tables), n)),
-    )  # fmt: skip
+        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), record, arrays
+    )
     return status, t, log_evidence, particles, log_weights, steps, ancestors, log_score, low, high
 
 
@@ -265,32 +318,32 @@ def sample_backward(tables, rng, particles, log_weights, ancestors, n_paths):
     """Draw trajectories from a filter pass; return (status, time, paths (n_paths, T, D))."""
     n_steps, size, n = particles.shape
     count = min(n, _WEIGHED)
-    drawn, states, work = np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
-    paths, weights = np.zeros((n_paths, n_steps, size)), np.empty(n)
+    history, paths = History(particles, log_weights, ancestors), np.zeros((n_paths, n_steps, size))
+    arrays = BackwardWork(
+        np.empty(n), np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
+    )
     for k in range(n_paths):
-        status, t, _ = _backward(
-            tables, rng, n_steps, particles, log_weights, ancestors, paths[k], weights, drawn, states, work
-        )
+        status, t, _ = _backward(tables, rng, n_steps, history, paths[k], arrays)
         if status != FINE:
             return status, t, paths
     return FINE, 0, paths
 
 
 @entry
-def sweep(tables, rng, n_steps, n, conditional, path):
+def redraw_path(tables, rng, n_steps, n, conditional, path):
     """Replace the first `n_steps` states of `path` (T, D) by one smoothing or conditional draw, in place.
 
     Returns (status, time, log evidence, mean effective sample size where something was measured, states changed).
     A failed pass leaves `path` as it was.
     """
     size = path.shape[1]
-    particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps, previous, ancestors = np.empty((n_steps, 2)), np.empty((size, n)), np.empty((n_steps, n), np.uint32)
-    scratch = np.empty((work_rows(tables), n))
+    steps, scratch = np.empty((n_steps, 2)), np.empty((work_rows(tables), n))
+    history = History(np.empty((n_steps, size, n)), np.empty((n_steps, n)), np.empty((n_steps, n), np.uint32))
+    arrays = FilterWork(history, steps, np.empty((size, n)), scratch)
+    scheme = Independent(1 if conditional else 0)
     status, t, log_evidence = _forward(
-        tables, rng, n_steps, Independent(1 if conditional else 0), 1.0, conditional, path, AllAtOnce(0.0),
-        particles, log_weights, steps, ancestors, previous, scratch,
-    )  # fmt: skip
+        tables, rng, n_steps, scheme, 1.0, conditional, path, AllAtOnce(0.0), arrays
+    )
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
     # Copies are loops: numba compiles four seconds of error messages for each assignment of a slice.
@@ -298,10 +351,10 @@ def sweep(tables, rng, n_steps, n, conditional, path):
     for t in range(n_steps):
         for d in range(size):
             new[t, d] = path[t, d]
-    drawn, states, work = np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
-    status, t, changed = _backward(
-        tables, rng, n_steps, particles, log_weights, ancestors, new, scratch[0], drawn, states, work
+    backward = BackwardWork(
+        scratch[0], np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
     )
+    status, t, changed = _backward(tables, rng, n_steps, history, new, backward)
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
     for s in range(n_steps):
@@ -316,7 +369,7 @@ def sweep(tables, rng, n_steps, n, conditional, path):
 
 
 @kernel
-def joint(tables, columns, logp, scratch):
+def joint_logpdf(tables, columns, logp, scratch):
     """Return log p(path, readings | theta) of a path as `columns` (D, T); `logp` (T,) receives each row's share."""
     n_steps, size = columns.shape[1], columns.shape[0]
     for t in range(n_steps):
@@ -338,7 +391,7 @@ def joint_terms(tables, path):
     for t in range(n_steps):
         for d in range(size):
             columns[d, t] = path[t, d]
-    value = joint(tables, columns, logp, np.empty((work_rows(tables), max(n_steps, size))))
+    value = joint_logpdf(tables, columns, logp, np.empty((work_rows(tables), max(n_steps, size))))
     return value, logp
 
 

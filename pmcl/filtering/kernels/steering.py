@@ -1,4 +1,4 @@
-"""Simulating a robot that is steered along a given path, by the model's own motion kernel."""
+"""Simulating a robot that is steered along a given path, by the compiled motion of the model itself."""
 
 from __future__ import annotations
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from pmcl.engine.compile import kernel
 from pmcl.engine.contract import draw_start, linearise_start, scratch_rows, start_logpdf
+from pmcl.engine.scalars import HALF_LOG_2PI, TURN
 from pmcl.models.starts.table import GaussianStart, PoseStart, WiderStart
-
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @scratch_rows.register(GaussianStart)
@@ -28,7 +27,7 @@ def _draw_gaussian(start, rng, current):
 @start_logpdf.register(GaussianStart)
 def _gaussian_logpdf(start, current, logp):
     for d in range(current.shape[0]):
-        constant = -math.log(start.std[d]) - _HALF_LOG_2PI
+        constant = -math.log(start.std[d]) - HALF_LOG_2PI
         for i in range(logp.size):
             z = (current[d, i] - start.mean[d]) / start.std[d]
             logp[i] += constant - 0.5 * z * z
@@ -72,7 +71,7 @@ def _draw_pose(start, rng, current):
             current[0, i] = start.mean[0] + start.std[0] * rng.standard_normal()
             current[1, i] = start.mean[1] + start.std[1] * rng.standard_normal()
         if math.isinf(start.std[2]):
-            current[2, i] = 2.0 * math.pi * rng.random() - math.pi
+            current[2, i] = TURN * rng.random() - math.pi
         else:
             current[2, i] = start.mean[2] + start.std[2] * rng.standard_normal()
 
@@ -89,13 +88,13 @@ def _pose_logpdf(start, current, logp):
         else:
             for d in range(2):
                 z = (current[d, i] - start.mean[d]) / start.std[d]
-                value -= 0.5 * z * z + math.log(start.std[d]) + _HALF_LOG_2PI
+                value -= 0.5 * z * z + math.log(start.std[d]) + HALF_LOG_2PI
         if math.isinf(start.std[2]):
             if not -math.pi <= heading < math.pi:
                 value = -np.inf
         else:
             z = (heading - start.mean[2]) / start.std[2]
-            value -= 0.5 * z * z + math.log(start.std[2]) + _HALF_LOG_2PI
+            value -= 0.5 * z * z + math.log(start.std[2]) + HALF_LOG_2PI
         logp[i] += value
 
 
@@ -130,7 +129,7 @@ def _draw_wider(start, rng, current):
 def _wider_logpdf(start, current, logp):
     start_logpdf(start.pose, current[:3], logp)
     for d in range(min(start.mean.size, current.shape[0] - 3)):
-        constant = -math.log(start.std[d]) - _HALF_LOG_2PI
+        constant = -math.log(start.std[d]) - HALF_LOG_2PI
         for i in range(logp.size):
             z = (current[3 + d, i] - start.mean[d]) / start.std[d]
             logp[i] += constant - 0.5 * z * z

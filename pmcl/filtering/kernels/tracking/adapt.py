@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 from pmcl.engine.compile import kernel
+from pmcl.engine.scalars import TURN
 from pmcl.engine.views import columns
 from pmcl.filtering.kernels.resampling import cumulate, draw_index, resample, search
 
 __all__ = ["gather", "particles_needed", "redraw"]
-
-_TURN = 2.0 * math.pi
 
 
 @kernel
@@ -34,7 +33,7 @@ def _bin_key(options, particles, i):
     key = 1
     for d in range(min(size, 3)):
         if d == 2:
-            value = particles[2, i] - _TURN * math.floor(particles[2, i] / _TURN)
+            value = particles[2, i] - TURN * math.floor(particles[2, i] / TURN)
             cell = math.floor(value / options.bin_turn)
         else:
             cell = math.floor(particles[d, i] / options.bin_size)

@@ -7,14 +7,13 @@ import math
 import numpy as np
 
 from pmcl.engine.compile import kernel
+from pmcl.engine.scalars import wrap_angle
 from pmcl.engine.vector_math import sincos_into
 from pmcl.engine.views import columns
 from pmcl.filtering.kernels.tracking.state import COUNT, EFFECTIVE, FRESH, WEIGHT_SUM
 from pmcl.filtering.kernels.weighing import FINE, normalise
 
 __all__ = ["level", "summarise", "weigh"]
-
-_TURN = 2.0 * math.pi
 
 
 @kernel(reorder=True)
@@ -48,8 +47,7 @@ def _moments(particles, weights, weight_sum, mean, covariance, work):
         source, deviation, centre = particles[d], work[d], mean[d]
         if d == 2:
             for i in range(n):
-                turn = source[i] - centre
-                deviation[i] = turn - _TURN * math.floor(turn / _TURN + 0.5)
+                deviation[i] = wrap_angle(source[i] - centre)
         else:
             for i in range(n):
                 deviation[i] = source[i] - centre
@@ -87,11 +85,11 @@ def weigh(state, n, log_weights):
 
 
 @kernel
-def summarise(state, size, log_score, mean, covariance, told):
+def summarise(state, size, log_score, mean, covariance, diagnostics):
     """Write mean (D,), covariance (D, D) and (log score, effective sample size, n) of the belief."""
     numbers = state.numbers
     n = int(numbers[COUNT])
     rows = state.scratch.size // state.log_weights.size
-    told[0], told[1], told[2] = log_score, numbers[EFFECTIVE], n
+    diagnostics[0], diagnostics[1], diagnostics[2] = log_score, numbers[EFFECTIVE], n
     work = columns(state.scratch, rows, n)
     _moments(columns(state.particles, size, n), state.weights[:n], numbers[WEIGHT_SUM], mean, covariance, work)

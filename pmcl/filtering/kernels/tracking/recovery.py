@@ -20,7 +20,7 @@ __all__ = ["first_reading", "look_elsewhere"]
 
 
 @entry
-def first_reading(tables, stack, options, row, rng, state, mean, covariance, told):
+def first_reading(tables, stack, options, row, rng, state, mean, covariance, diagnostics):
     """Take in the readings at `row` by degrees, from the start belief; return the status.
 
     Arguments are those of :func:`~pmcl.filtering.kernels.tracking.track.localize_rows`, and the arrays of this row.
@@ -36,18 +36,18 @@ def first_reading(tables, stack, options, row, rng, state, mean, covariance, tol
         return status
     level(state, n)
     numbers[SEEN], numbers[EFFECTIVE] = 1.0, effective
-    summarise(state, size, log_score, mean, covariance, told)
+    summarise(state, size, log_score, mean, covariance, diagnostics)
     return FINE
 
 
 @entry
-def look_elsewhere(tables, stack, anywhere, options, row, rng, state, mean, covariance, told):
+def look_elsewhere(tables, stack, anywhere, options, row, rng, state, mean, covariance, diagnostics):
     """Replace a part of the particles by states that the readings at `row` alone suggest; return the status.
 
     With probability ``numbers[SUSPICION]`` the robot is anywhere: that part of the belief is drawn anew, by annealing
     from the belief `anywhere`, with the evidence of the readings as its weight. The weighted mixture is the filter's
     belief under exactly that assumption, so a false alarm costs little: the new states then weigh next to nothing.
-    ``told[0]`` holds the log score of the old states, and afterwards that of the mixture.
+    ``diagnostics[0]`` holds the log score of the old states, and afterwards that of the mixture.
     """
     size, numbers = state_size(tables.motion), state.numbers
     n, rows, suspicion = int(numbers[COUNT]), state.scratch.size // state.log_weights.size, numbers[SUSPICION]
@@ -72,10 +72,10 @@ def look_elsewhere(tables, stack, anywhere, options, row, rng, state, mean, cova
         state.particles[i] = state.spare[i]
     log_weights = state.new_like[:n]
     for i in range(kept):
-        log_weights[i] = math.log1p(-suspicion) + told[0] - math.log(kept)
+        log_weights[i] = math.log1p(-suspicion) + diagnostics[0] - math.log(kept)
     for i in range(kept, n):
         log_weights[i] = math.log(suspicion) + log_evidence - math.log(fresh) if status == FINE else -np.inf
     status, log_score = weigh(state, n, log_weights)
     if status == FINE:
-        summarise(state, size, log_score, mean, covariance, told)
+        summarise(state, size, log_score, mean, covariance, diagnostics)
     return status

@@ -1,4 +1,4 @@
-"""What a localizing filter remembers between two time steps, and how it is told to work.
+"""What a localizing filter remembers between two time steps, and how it is diagnostics to work.
 
 All arrays are flat or one-dimensional and as long as the greatest number of particles N needs, so that the number of
 particles n may change from step to step without any allocation: ``views.columns(flat, D, n)`` is

@@ -2,8 +2,8 @@
 
 Unlike :mod:`~pmcl.filtering.kernels.smc` no history is kept: memory is O(n). The same machine code runs a whole log and
 a single step on a robot, so both give the same numbers to the last bit. What is rarely needed, finding a robot that may
-be anywhere, is compiled apart (:mod:`~pmcl.filtering.kernels.tracking.recovery`): this loop stops and says so. Numbers in
-brackets are the equations of Kaboli, Bowling and Musilek (2006).
+be anywhere, is compiled apart (:mod:`~pmcl.filtering.kernels.tracking.recovery`): this loop stops and says so. Numbers
+in brackets are the equations of Kaboli, Bowling and Musilek (2006).
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _read(tables, stack, options, row, count, rng, state, size, first):
 
 
 @kernel
-def _step(tables, stack, options, row, count, rng, state, mean, covariance, told):
+def _step(tables, stack, options, row, count, rng, state, mean, covariance, diagnostics):
     """Take in one row; return its status. One that is not FINE leaves the belief to be summarised."""
     size, numbers = state_size(tables.motion), state.numbers
     rows = state.scratch.size // state.log_weights.size
@@ -126,15 +126,15 @@ def _step(tables, stack, options, row, count, rng, state, mean, covariance, told
         if numbers[SEEN] == 0.0 and (options.annealed == 2 or (options.annealed == 1 and first)):
             return START_UNKNOWN
         status, log_score = _read(tables, stack, options, row, count, rng, state, size, first)
-        told[0] = log_score
+        diagnostics[0] = log_score
         if status != FINE:
             return status
-    summarise(state, size, log_score, mean, covariance, told)
+    summarise(state, size, log_score, mean, covariance, diagnostics)
     return FINE
 
 
 @entry
-def localize_rows(tables, stack, options, origin, begin, end, counts, rng, state, means, covariances, told):
+def localize_rows(tables, stack, options, origin, begin, end, counts, rng, state, means, covariances, diagnostics):
     """Run the filter over rows ``begin <= row < end`` of a log, going on from `state`.
 
     Parameters
@@ -151,7 +151,7 @@ def localize_rows(tables, stack, options, origin, begin, end, counts, rng, state
         Source of randomness.
     state : FilterState
         Memory of the filter, changed in place.
-    means, covariances, told : ndarray, shape (N, D), (N, D, D), (N, 3)
+    means, covariances, diagnostics : ndarray, shape (N, D), (N, D, D), (N, 3)
         Filled: belief at each row; log score, effective sample size and number of particles.
 
     Returns
@@ -161,7 +161,7 @@ def localize_rows(tables, stack, options, origin, begin, end, counts, rng, state
     """
     for row in range(begin, end):
         i = row - origin
-        status = _step(tables, stack, options, row, counts[i], rng, state, means[i], covariances[i], told[i])
+        status = _step(tables, stack, options, row, counts[i], rng, state, means[i], covariances[i], diagnostics[i])
         if status != FINE:
             return status, row
     return FINE, end - 1

@@ -34,7 +34,9 @@ class MotionExtras(NamedTuple):
 
 
 class WanderingExtras(NamedTuple):
-    """:class:`MotionExtras` of a motion whose turn rate wanders: the state has a fourth component u, an AR(1) of unit variance.
+    """:class:`MotionExtras` of a motion whose turn rate wanders.
+
+    The state has a fourth component u, a first-order autoregressive process of unit variance.
 
     turn[t] = mean[t] + wander[t] u[t-1] + noise, u[t] = keep[t] u[t-1] + sqrt(1 - keep[t]^2) normal. Along a path that
     has only the three components of a pose, its density is that with u integrated out.

@@ -11,12 +11,11 @@ from pmcl.engine.linear_readings import (
     BEARING,
     RANGE,
     SIZE,
-    ReadingGeometry,
-    RichGeometry,
-    empty_geometry,
-    enriched,
+    LinearReadings,
+    add_linear_extras,
+    empty_readings,
     inlier_share,
-    pack_geometry,
+    pack_readings,
     same_fields,
     times_of,
 )
@@ -25,7 +24,7 @@ from pmcl.models.sensor import ReadingIndex
 from pmcl.models.sensors.landmarks.kernels.plain import ideal_sightings
 from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
 
-__all__ = ["covariates", "empty_like", "ideal", "linearise", "moved_linearisation"]
+__all__ = ["covariates", "empty_like", "ideal", "linearise", "moved_linearisation", "relative_positions"]
 
 Float = NDArray[np.float64]
 
@@ -35,36 +34,34 @@ def ideal(table: LandmarkSightings, path: Float) -> Float:
     return np.asarray(ideal_sightings(table, np.ascontiguousarray(path)))
 
 
-def _relative(table: Any, path: Float, time: NDArray[np.int64]) -> tuple[Float, Float]:
-    """Return each sighted landmark in the frame of the mounted sensor, without its yaw."""
-    pose = path[time]
-    delta = table.position[table.landmark[: time.size]] - pose[:, :2]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+def relative_positions(table: LandmarkSightings, which: NDArray[np.int64], poses: Float) -> tuple[Float, Float]:
+    """Return how far landmarks `which` (N,) lie ahead of the sensor at `poses` (N, >= 3), and aside [m], each (N,).
+
+    The frame is that of the mounted sensor, but turned as the robot is: the yaw of the mount does not count.
+    """
+    delta = table.position[which] - poses[:, :2]
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
     aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
     return ahead, aside
 
 
-def linearise(table: LandmarkSightings, reference: Float) -> ReadingGeometry | RichGeometry:
+def linearise(table: LandmarkSightings, reference: Float) -> LinearReadings:
     """Linearise sightings around a reference (T, D); see :meth:`pmcl.models.sensor.Sensor.linearise`."""
     if not isinstance(table.extras, LandmarkExtras):
-        return _sighting_geometry(table, reference)
+        return _linear_readings(table, reference)
     gross = 1.0 - (1.0 - table.outlier_weight) * (1.0 - table.extras.misread_weight)
-    made = _sighting_geometry(table._replace(outlier_weight=gross), reference)
-    delta = table.position[made.channel] - reference[times_of(made), :2]
-    heading = reference[times_of(made), 2]
-    c, s = np.cos(heading), np.sin(heading)
-    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
-    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
+    readings = _linear_readings(table._replace(outlier_weight=gross), reference)
+    ahead, aside = relative_positions(table, readings.channel, reference[times_of(readings)])
     depth = np.cos(np.arctan2(aside, ahead) - table.sensor_pose[2])
-    return enriched(made, reference, np.hypot(ahead, aside), depth)
+    return add_linear_extras(readings, reference, np.hypot(ahead, aside), depth)
 
 
-def _sighting_geometry(table: Any, reference: Float) -> ReadingGeometry:
+def _linear_readings(table: Any, reference: Float) -> LinearReadings:
     n_steps, size = reference.shape
     time = table.time[: table.first[n_steps]]
     which = table.landmark[: time.size]
-    ahead, aside = _relative(table, reference, time)
+    ahead, aside = relative_positions(table, which, reference[time])
     distance = np.maximum(np.hypot(ahead, aside), 1e-9)
     # d(ahead, aside) / d(x, y, heading), with the mount: moving the robot moves the landmark the other way.
     c, s = np.cos(reference[time, 2]), np.sin(reference[time, 2])
@@ -98,25 +95,23 @@ def _sighting_geometry(table: Any, reference: Float) -> ReadingGeometry:
         jacobian = np.zeros((seen.size, size))
         jacobian[:, :3] = slope[seen]
         rows.append((time[seen], which[seen], np.full(seen.size, kind), z[seen], value[seen], jacobian, weight[seen]))
-    return pack_geometry(n_steps, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+    return pack_readings(n_steps, *(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
-def moved_linearisation(table: LandmarkSightings, made_from: LandmarkSightings, linearisation: Any, reference: Float) -> Any:
+def moved_linearisation(
+    table: LandmarkSightings, made_from: LandmarkSightings, linearisation: Any, reference: Float
+) -> Any:
     """Return a linearisation for a moved map or sensor; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
     if same_fields(table, made_from, ("position", "sensor_pose")):
         return linearisation
-    place = reference[times_of(linearisation)]
-    delta = table.position[linearisation.channel] - place[:, :2]
-    c, s = np.cos(place[:, 2]), np.sin(place[:, 2])
-    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
-    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
+    ahead, aside = relative_positions(table, linearisation.channel, reference[times_of(linearisation)])
     distance, bearing = np.maximum(np.hypot(ahead, aside), 1e-9), np.arctan2(aside, ahead) - table.sensor_pose[2]
     return linearisation._replace(value=np.choose(linearisation.kind, [distance, bearing, distance**-2.0]))
 
 
-def empty_like(table: LandmarkSightings) -> ReadingGeometry | RichGeometry:
+def empty_like(table: LandmarkSightings) -> LinearReadings:
     """Return an empty linearisation of the type that belongs to such a table."""
-    return empty_geometry(full=isinstance(table.extras, LandmarkExtras))
+    return empty_readings(extras=isinstance(table.extras, LandmarkExtras))
 
 
 def covariates(table: LandmarkSightings, path: Float, index: ReadingIndex) -> dict[str, Float]:

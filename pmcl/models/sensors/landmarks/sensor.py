@@ -10,7 +10,9 @@ import numpy as np
 import xarray as xr
 
 from pmcl.engine.residuals import GaussianSums, sum_of_squares
+from pmcl.engine.scalars import LOG_2PI
 from pmcl.errors import ModelError
+from pmcl.geometry import wrap
 from pmcl.logs.arrays import LogArrays
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.outliers import outlier_prior
@@ -25,8 +27,6 @@ from pmcl.models.sensors.landmarks.simulation import simulate
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
 
 __all__ = ["LandmarkNoise"]
-
-_LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class BoundLandmarkNoise:
             columns.append(table.range[:n] - (table.range_scale[which] * distance + table.range_bias[which]))
         if self.bearing:
             turn = table.bearing[:n] - bearing - table.bearing_bias[which]
-            columns.append(turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5))
+            columns.append(wrap(turn))
         if self.size:
             columns.append(table.size[:n] * distance**2 / table.size_constant[which] - 1.0)
         if not self.outliers:
@@ -222,7 +222,7 @@ class BoundLandmarkNoise:
         seen = ~np.isnan(residual)
         log_constant = np.log(table.size_constant[which])
         log_outlier = -(
-            np.log(table.max_range) * seen[:, 0] + _LOG_2PI * seen[:, 1] + log_constant * seen[:, 2]
+            np.log(table.max_range) * seen[:, 0] + LOG_2PI * seen[:, 1] + log_constant * seen[:, 2]
         )
         log_scale = (2.0 * np.log(distance) - log_constant) * seen[:, 2]
         return SightingResiduals(full_index, value, residual, log_scale, log_outlier)

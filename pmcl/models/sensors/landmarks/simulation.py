@@ -1,13 +1,18 @@
-"""Draws of sightings, written again from the definition of the table: component by component, without kernels."""
+"""Draws of sightings along a path, without any compiled kernel of their densities.
+
+The draws of readings stand in :mod:`pmcl.models.sensors.landmarks.kernels.channels`, those of what a sighting is of in
+:mod:`pmcl.models.sensors.landmarks.kernels.identities`, each beside its density.
+"""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.geometry import late_poses, wrap
+from pmcl.engine.linear_readings import BEARING, RANGE
+from pmcl.geometry import late_poses
+from pmcl.models.sensors.landmarks.kernels.channels import draw_given_last, draw_sightings, expected_sightings
+from pmcl.models.sensors.landmarks.kernels.identities import draw_gross_errors, draw_landmarks
 from pmcl.models.sensors.landmarks.linearisation import ideal
 from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
 
@@ -18,104 +23,41 @@ Float = NDArray[np.float64]
 
 def simulate(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> LandmarkSightings:
     """Draw sightings along a path (T, >= 3); see :meth:`pmcl.models.sensor.Sensor.simulate`."""
-    if isinstance(table.extras, LandmarkExtras):
-        return _with_extras(table, path, rng)
-    # A bearing is wrapped, while the density is a Gaussian of the wrapped residual: the same but for what a Gaussian
-    # has beyond half a turn, 2e-7 at a noise of 0.6 rad.
-    which, n = table.landmark, table.landmark.size
+    readings = _with_extras(table, path, rng) if isinstance(table.extras, LandmarkExtras) else _plain(table, path, rng)
+    measured = (table.range, table.bearing, table.size)
+    new = [np.where(np.isnan(old), np.nan, drawn) for old, drawn in zip(measured, readings, strict=True)]
+    return table._replace(range=new[0], bearing=new[1], size=new[2])
+
+
+def _plain(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> list[Float]:
+    which = table.landmark
     distance, bearing = np.ascontiguousarray(ideal(table, path).T)
-    noise = rng.standard_normal((3, n))
-    ideal_size = table.size_constant[which] / distance**2
-    plain = (
-        table.range_scale[which] * distance + table.range_bias[which] + table.range_std[which] * noise[0],
-        wrap(bearing + table.bearing_bias[which] + table.bearing_std[which] * noise[1]),
-        ideal_size * (1.0 + table.size_std[which] * noise[2]),
-    )
-    anything = (
-        table.max_range * rng.random(n),
-        np.pi * (2.0 * rng.random(n) - 1.0),
-        table.size_constant[which] * rng.random(n),
-    )
-    # One coin for the whole sighting: a wrong identity spoils distance, bearing and size together.
-    gross = rng.random(n) < table.outlier_weight[which]
-    measured = [~np.isnan(values) for values in (table.range, table.bearing, table.size)]
-    new = [
-        np.where(seen, np.where(gross, wild, sound), np.nan)
-        for seen, wild, sound in zip(measured, anything, plain, strict=True)
-    ]
-    return table._replace(range=new[0], bearing=new[1], size=new[2])
+    expected_range = table.range_scale[which] * distance + table.range_bias[which]
+    centre = np.stack([expected_range, bearing + table.bearing_bias[which]])
+    std = np.stack([table.range_std[which], table.bearing_std[which]])
+    sound = draw_sightings(table, which, centre, std, distance, rng.standard_normal((3, which.size)))
+    gross, wild = draw_gross_errors(table, rng)
+    return [np.where(gross, error, reading) for error, reading in zip(wild, sound, strict=True)]
 
 
-def _with_extras(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> LandmarkSightings:
-    named, n, n_landmarks = table.landmark, table.landmark.size, table.position.shape[0]
-    poses = late_poses(path, table.extras.lag)[table.time]
-    which = named.copy()
-    if n_landmarks > 1:
-        misread = rng.random(n) < table.extras.misread_weight[named]
-        another = (named + rng.integers(1, n_landmarks, n)) % n_landmarks
-        which = np.where(misread, another, named)
-    centre, std, distance = _expected_sightings(table, which, poses)
-    noise = rng.standard_normal((3, n))
-    ideal_size = table.size_constant[which] / distance**2
-    sound = (
-        centre[0] + std[0] * noise[0],
-        wrap(centre[1] + std[1] * noise[1]),
-        ideal_size * (1.0 + table.size_std[which] * noise[2]),
-    )
-    wild = (
-        table.max_range * rng.random(n),
-        np.pi * (2.0 * rng.random(n) - 1.0),
-        table.size_constant[named] * rng.random(n),
-    )
-    gross = rng.random(n) < table.outlier_weight[named]
-    new = [
-        np.where(np.isnan(seen), np.nan, np.where(gross, strange, plain))
-        for seen, strange, plain in zip((table.range, table.bearing, table.size), wild, sound, strict=True)
-    ]
-    before, spread, _ = _expected_sightings(table, named, late_poses(path, np.zeros(len(path)))[table.time])
-    plain = (which == named) & ~gross
-    for channel, correlation in enumerate((table.extras.range_correlation, table.extras.bearing_correlation)):
+def _with_extras(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> list[Float]:
+    which = draw_landmarks(table, rng)
+    centre, std, distance = expected_sightings(table, which, late_poses(path, table.extras.lag)[table.time])
+    noise = rng.standard_normal((3, which.size))
+    sound = draw_sightings(table, which, centre, std, distance, noise)
+    gross, wild = draw_gross_errors(table, rng)
+    readings = [np.where(gross, error, reading) for error, reading in zip(wild, sound, strict=True)]
+    # What was not measured must not be remembered.
+    readings[RANGE][np.isnan(table.range)] = np.nan
+    readings[BEARING][np.isnan(table.bearing)] = np.nan
+    # The row before is looked back at from the pose of its own row, not late.
+    prompt = late_poses(path, np.zeros(len(path)))[table.time]
+    centre_before, std_before, _ = expected_sightings(table, table.landmark, prompt)
+    own = (which == table.landmark) & ~gross
+    for kind, correlation in ((RANGE, table.extras.range_correlation), (BEARING, table.extras.bearing_correlation)):
         if correlation.any():
-            c = correlation[named]
-            _remember(table, new[channel], channel == 1, c, plain, centre[channel], std[channel] * noise[channel],
-                      before[channel], spread[channel])
-    return table._replace(range=new[0], bearing=new[1], size=new[2])
-
-
-def _expected_sightings(table: LandmarkSightings, which: Any, poses: Float) -> tuple[Float, Float, Float]:
-    """Return centre and standard deviation (2, N) of distances and bearings of landmarks `which`; true distances."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    delta = table.position[which] - poses[:, :2]
-    ahead = c * delta[:, 0] + s * delta[:, 1] - table.sensor_pose[0]
-    aside = c * delta[:, 1] - s * delta[:, 0] - table.sensor_pose[1]
-    distance, bearing = np.hypot(ahead, aside), np.arctan2(aside, ahead) - table.sensor_pose[2]
-    told = distance * (1.0 - table.extras.depth + table.extras.depth * np.cos(bearing))
-    centre = [table.range_scale[which] * told + table.range_bias[which], bearing + table.bearing_bias[which]]
-    std = [
-        table.range_std[which] * (1.0 + table.extras.range_growth[which] * distance),
-        table.bearing_std[which] * (1.0 + table.extras.bearing_falloff[which] / np.maximum(distance, 0.1)),
-    ]
-    return np.array(centre), np.array(std), distance
-
-
-def _remember(
-    table: LandmarkSightings, reading: Float, is_angle: bool, correlation: Float, plain: Any, centre: Float, error: Float,
-    before: Float, spread: Float,
-) -> None:
-    """Redraw, one after another and in place, readings whose landmark was read in the row before.
-
-    `centre` and `error` are what was drawn without memory; `before` and `spread` what the state of its own row, not
-    late, would have let one expect of each reading.
-    """
-    last: dict[tuple[int, int], int] = {}
-    for k, where in enumerate(zip(table.time.tolist(), table.landmark.tolist(), strict=True)):
-        earlier = last.get((where[0] - 1, where[1]))
-        last[where] = k
-        if earlier is None or not plain[k]:
-            continue
-        residual = reading[earlier] - before[earlier]
-        residual = wrap(residual) if is_angle else residual
-        if not abs(residual) < 4.0 * spread[earlier] or np.isnan(reading[k]):
-            continue
-        drawn = centre[k] + correlation[k] * residual + np.sqrt(1.0 - correlation[k] ** 2) * error[k]
-        reading[k] = wrap(drawn) if is_angle else drawn
+            draw_given_last(
+                table, kind, readings[kind], own, centre[kind], std[kind] * noise[kind], centre_before[kind],
+                std_before[kind],
+            )  # fmt: skip
+    return readings

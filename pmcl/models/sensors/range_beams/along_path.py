@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pmcl.models.sensor import ReadingIndex
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
 
 __all__ = ["along", "covariates"]
 
@@ -45,7 +45,7 @@ def covariates(table: RangeBeams, path: Float, index: ReadingIndex) -> dict[str,
     """Return distance, direction and incidence of readings; see :meth:`pmcl.models.sensor.Sensor.covariates`."""
     time, beam = index.time, index.channel
     return {
-        "distance": np.minimum(beam_lengths(table, path), 2.0 * table.max_range)[time, beam],
+        "distance": np.minimum(beam_lengths(table, path), OPEN_RAY * table.max_range)[time, beam],
         "direction": path[time, 2] + table.beam_pose[beam, 2],
         "incidence": incidence(table, path)[time, beam],
     }

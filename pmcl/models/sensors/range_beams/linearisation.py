@@ -9,17 +9,16 @@ from numpy.typing import NDArray
 
 from pmcl.engine.linear_readings import (
     RANGE,
-    ReadingGeometry,
-    RichGeometry,
-    empty_geometry,
-    enriched,
+    LinearReadings,
+    add_linear_extras,
+    empty_readings,
     inlier_share,
-    pack_geometry,
+    pack_readings,
     same_fields,
     times_of,
 )
 from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
-from pmcl.models.sensors.range_beams.table import RangeBeams, RangeExtras
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, RangeExtras
 
 __all__ = ["beam_lengths", "empty_like", "linearise", "moved_linearisation"]
 
@@ -58,24 +57,25 @@ def _ray_lengths(table: RangeBeams, mount: Float, path: Float) -> Float:
     return cast_rays(table.vertices, table.wall_start, table.wall_stop, origins)
 
 
-def linearise(table: RangeBeams, reference: Float) -> ReadingGeometry | RichGeometry:
+def linearise(table: RangeBeams, reference: Float) -> LinearReadings:
     """Linearise the readings of beams around a reference (T, D); see :meth:`pmcl.models.sensor.Sensor.linearise`."""
     if not isinstance(table.extras, RangeExtras):
-        return _beam_geometry(table, reference)
+        return _linear_readings(table, reference)
     extras = table.extras
     gross = (table.outlier_weight, extras.no_echo_weight, extras.short_weight, extras.talk_weight)
     sound = np.prod([1.0 - weight for weight in gross], axis=0)
     rows = reference.shape[0]
     std = table.std * extras.std_factor[:rows, None]
-    made = _beam_geometry(
+    readings = _linear_readings(
         table._replace(reading=table.reading[:rows] - extras.bias_at[:rows], std=std, outlier_weight=1.0 - sound),
         reference,
     )
-    made = made._replace(reading=np.ascontiguousarray(made.reading + extras.bias_at[times_of(made), made.channel]))
-    return enriched(made, reference, made.value.copy(), np.ones(made.value.size))
+    with_bias = readings.reading + extras.bias_at[times_of(readings), readings.channel]
+    readings = readings._replace(reading=np.ascontiguousarray(with_bias))
+    return add_linear_extras(readings, reference, readings.value.copy(), np.ones(readings.value.size))
 
 
-def _beam_geometry(table: Any, reference: Float) -> ReadingGeometry:
+def _linear_readings(table: Any, reference: Float) -> LinearReadings:
     value = beam_lengths(table, reference)
     z = table.reading[: reference.shape[0]]
     usable = ~np.isnan(z) & np.isfinite(value) & (z > 0.0) & (z < table.max_range)
@@ -93,13 +93,13 @@ def _beam_geometry(table: Any, reference: Float) -> ReadingGeometry:
         jacobian[..., d] = slopes[0]
         with np.errstate(invalid="ignore"):
             usable &= (np.abs(slopes[0] - slopes[1]) * step < 0.5 * table.std) & (bend < 0.5 * table.std)
-    residual = np.where(usable, z - np.minimum(table.scale * value + table.bias, 2.0 * table.max_range), 0.0)
+    residual = np.where(usable, z - np.minimum(table.scale * value + table.bias, OPEN_RAY * table.max_range), 0.0)
     log_inlier = -0.5 * (residual / table.std) ** 2 - np.log(table.std * np.sqrt(2.0 * np.pi))
     weight = inlier_share(log_inlier, np.broadcast_to(table.outlier_weight, z.shape), -np.log(table.max_range))
     time, beam = np.nonzero(usable)
     at = (time, beam)
     kind = np.full(time.size, RANGE)
-    return pack_geometry(reference.shape[0], time, beam, kind, z[at], value[at], jacobian[at], weight[at])
+    return pack_readings(reference.shape[0], time, beam, kind, z[at], value[at], jacobian[at], weight[at])
 
 
 def _same_place(table: RangeBeams, made_from: RangeBeams) -> bool:
@@ -117,6 +117,6 @@ def moved_linearisation(table: RangeBeams, made_from: RangeBeams, linearisation:
     return linearisation._replace(value=np.where(np.isfinite(lengths), lengths, linearisation.value))
 
 
-def empty_like(table: RangeBeams) -> ReadingGeometry | RichGeometry:
+def empty_like(table: RangeBeams) -> LinearReadings:
     """Return an empty linearisation of the type that belongs to such a table."""
-    return empty_geometry(full=isinstance(table.extras, RangeExtras))
+    return empty_readings(extras=isinstance(table.extras, RangeExtras))

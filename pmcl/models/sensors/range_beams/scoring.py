@@ -76,12 +76,15 @@ class RayCache:
 
     @staticmethod
     def _keys(beams: RangeBeams) -> list[tuple[float, ...]]:
-        return [(*pose, width) for pose, width in zip(beams.beam_pose.tolist(), beams.extras.width.tolist(), strict=True)]
-
+        widths = beams.extras.width.tolist()
+        return [(*pose, width) for pose, width in zip(beams.beam_pose.tolist(), widths, strict=True)]
 
 
 def scoring_calls(table: RangeBeams, columns: Float) -> list[tuple[Any, tuple[Any, ...]]]:
-    """Return what :class:`RayCache` calls for tables with extras; see :meth:`pmcl.models.sensor.Sensor.scoring_calls`."""
+    """Return what :class:`RayCache` calls for tables with extras.
+
+    See :meth:`pmcl.models.sensor.Sensor.scoring_calls`.
+    """
     if isinstance(table.extras, NoExtras):
         return []
     return [

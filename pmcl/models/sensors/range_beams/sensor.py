@@ -22,7 +22,7 @@ from pmcl.models.sensors.range_beams.linearisation import beam_lengths, empty_li
 from pmcl.models.sensors.range_beams.log_variables import RangeVariables
 from pmcl.models.sensors.range_beams.scoring import RayCache, beams_that_differ, scoring_calls
 from pmcl.models.sensors.range_beams.simulation import simulate
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
 
 __all__ = ["RangeNoise"]
 
@@ -120,7 +120,7 @@ class BoundRangeNoise:
     ) -> GaussianSums | RangeResiduals:
         """Return a sum of squares where every reading is plainly Gaussian, the residuals otherwise."""
         z = table.reading[: path.shape[0]]
-        expected = np.minimum(table.scale * ideal + table.bias, 2.0 * table.max_range)
+        expected = np.minimum(table.scale * ideal + table.bias, OPEN_RAY * table.max_range)
         measured = ~np.isnan(z)
         low, high = measured & (z <= 0.0), measured & (z >= table.max_range)
         residual = (z - expected)[measured & ~low & ~high]

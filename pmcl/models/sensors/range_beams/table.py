@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from pmcl.engine.tables import Axes, NoExtras
 
-__all__ = ["RangeBeams", "RangeExtras", "ring_neighbours"]
+__all__ = ["OPEN_RAY", "RangeBeams", "RangeExtras", "ring_neighbours"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+
+# A ray that meets no wall is infinitely long. The expected reading is never longer than this many times max_range:
+# far enough that the reading is max_range in all likelihood, and finite, so that densities and slopes stay finite too.
+OPEN_RAY = 2.0
 
 
 def ring_neighbours(beam_pose: Float) -> Int:

@@ -16,12 +16,11 @@ from pmcl.engine.contract import (
     transition_logpdf,
 )
 from pmcl.engine.random_numbers import normals_into
+from pmcl.engine.scalars import HALF_LOG_2PI, log_sum
 from pmcl.engine.student import student_constant, student_logpdf
 from pmcl.engine.vector_math import sincos_into
 from pmcl.models.motions.increments.kernels.plain import bend, unbend
 from pmcl.models.motions.increments.table import IncrementMotion, MotionExtras, WanderingExtras
-
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @state_size.register(IncrementMotion, MotionExtras)
@@ -121,8 +120,7 @@ def _translation_logpdf(motion, t, ahead, aside, grip, constant, log_slip):
         slipped = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant) + log_slip[0]
         if slip < 1.0:
             value += log_slip[1]
-            high, low = max(value, slipped), min(value, slipped)
-            value = high + math.log1p(math.exp(low - high))
+            value = log_sum(value, slipped)
         else:
             value = slipped
     return value
@@ -137,7 +135,7 @@ def _pose_logpdf(motion, t, previous, current, logp, scratch):
     plain = motion.extras.tail == 0.0 and motion.extras.slip_weight == 0.0
     w_forward, w_left, w_turn = 1.0 / motion.std[t, 0], 1.0 / motion.std[t, 1], 1.0 / std
     log_slip, log_scale = _log_slip(motion), math.log(w_forward * w_left * w_turn)
-    gaussian = log_scale - 3.0 * _HALF_LOG_2PI
+    gaussian = log_scale - 3.0 * HALF_LOG_2PI
     mean_forward, mean_left = motion.mean[t, 0], motion.mean[t, 1]
     for i in range(logp.size):
         dx, dy = current[0] - previous[0, i], current[1] - previous[1, i]
@@ -164,7 +162,7 @@ def _wandering_logpdf(motion, t, previous, current, logp, scratch):
     _pose_logpdf(motion, t, previous, current, logp, scratch)
     keep = motion.extras.keep[t]
     spread = math.sqrt(1.0 - keep * keep)
-    constant = -math.log(spread) - _HALF_LOG_2PI
+    constant = -math.log(spread) - HALF_LOG_2PI
     for i in range(logp.size):
         r = (current[3] - keep * previous[3, i]) / spread
         logp[i] += constant - 0.5 * r * r
@@ -189,7 +187,7 @@ def _along_path(motion, n_steps, path, logp, scratch):
         if wanders:
             spread = math.sqrt(1.0 - keep * keep)
             r = (path[3, t] - keep * path[3, t - 1]) / spread
-            value -= math.log(spread) + _HALF_LOG_2PI + 0.5 * r * r
+            value -= math.log(spread) + HALF_LOG_2PI + 0.5 * r * r
             turn -= wander * path[3, t - 1]
         elif wander != 0.0 or keep != 0.0:
             turn -= wander * guess
@@ -210,7 +208,8 @@ def _linearise_pose(motion, t, before, after, jacobian, offset, precision):
             jacobian[i, j] = 1.0 if i == j else 0.0
             precision[i, j] = 0.0
     c, s = math.cos(before[2]), math.sin(before[2])
-    grip = _grip(motion.extras.patches, before[0], before[1]) * (1.0 - motion.extras.slip_weight * motion.extras.slip_share)
+    grip = _grip(motion.extras.patches, before[0], before[1])
+    grip *= 1.0 - motion.extras.slip_weight * motion.extras.slip_share
     f, g = grip * motion.mean[t, 0], grip * motion.mean[t, 1]
     jacobian[0, 2], jacobian[1, 2] = before[1] - after[1], after[0] - before[0]
     offset[0] = before[0] + c * f - s * g - after[0]

@@ -1,4 +1,4 @@
-"""Kernels of :class:`~pmcl.models.tables.IncrementMotion`: noise on forward, left and turn."""
+"""Plain kernels of :class:`~pmcl.models.motions.increments.table.IncrementMotion` without extras."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from pmcl.engine.contract import (
 )
 from pmcl.engine.parameter_draws import propagate_draws
 from pmcl.engine.random_numbers import normals_into
+from pmcl.engine.scalars import LOG_2PI
 from pmcl.engine.tables import NoExtras
 from pmcl.engine.vector_math import sincos_into
 from pmcl.engine.views import take
 from pmcl.models.motions.increments.table import IncrementMotion
-
-_LOG_2PI = math.log(2.0 * math.pi)
 
 
 @state_size.register(IncrementMotion, NoExtras)
@@ -66,7 +65,7 @@ def _transition_logpdf(motion, t, previous, current, logp, scratch):
     x, y, heading = current[0], current[1], current[2]
     mean_forward, mean_left, mean_turn = motion.mean[t, 0], motion.mean[t, 1], motion.mean[t, 2]
     w_forward, w_left, w_turn = 1.0 / motion.std[t, 0], 1.0 / motion.std[t, 1], 1.0 / motion.std[t, 2]
-    constant = math.log(w_forward * w_left * w_turn) - 1.5 * _LOG_2PI
+    constant = math.log(w_forward * w_left * w_turn) - 1.5 * LOG_2PI
     for i in range(logp.size):
         dx, dy = x - before_x[i], y - before_y[i]
         f = (dx * cosine[i] + dy * sine[i] - mean_forward) * w_forward
@@ -87,7 +86,7 @@ def _path_transition_logpdf(motion, n_steps, path, logp, scratch):
         f = (dx * c + dy * s - mean[t, 0]) / std[t, 0]
         g = (dy * c - dx * s - mean[t, 1]) / std[t, 1]
         h = (heading[t] - heading[t - 1] - mean[t, 2]) / std[t, 2]
-        logp[t] -= 1.5 * _LOG_2PI + math.log(std[t, 0] * std[t, 1] * std[t, 2]) + 0.5 * (f * f + g * g + h * h)
+        logp[t] -= 1.5 * LOG_2PI + math.log(std[t, 0] * std[t, 1] * std[t, 2]) + 0.5 * (f * f + g * g + h * h)
 
 
 @linearise_transition.register(IncrementMotion, NoExtras)

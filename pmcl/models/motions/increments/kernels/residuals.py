@@ -21,7 +21,7 @@ class GrowingResiduals(NamedTuple):
 
     Attributes
     ----------
-    slots, value : ndarray, shape (6,)
+    theta_index, value : ndarray, shape (6,)
         sigma_forward, sigma_left, sigma_turn, sigma_forward_per_metre, sigma_turn_per_radian, sigma_turn_per_metre.
     residual : ndarray, shape (N, 3)
         Forward [m], left [m], turn [rad].
@@ -29,7 +29,7 @@ class GrowingResiduals(NamedTuple):
         Size of each odometry increment [m], [rad].
     """
 
-    slots: Int
+    theta_index: Int
     value: Float
     residual: Float
     distance: Float
@@ -38,7 +38,8 @@ class GrowingResiduals(NamedTuple):
 
 @theta_logpdf.register(GrowingResiduals)
 def _growing(statistics, theta):
-    forward, left, turn = parameter_value(statistics, theta, 0), parameter_value(statistics, theta, 1), parameter_value(statistics, theta, 2)
+    forward, left = parameter_value(statistics, theta, 0), parameter_value(statistics, theta, 1)
+    turn = parameter_value(statistics, theta, 2)
     forward_per_metre, turn_per_radian = parameter_value(statistics, theta, 3), parameter_value(statistics, theta, 4)
     turn_per_metre = parameter_value(statistics, theta, 5)
     residual, distance, angle = statistics.residual, statistics.distance, statistics.turn

@@ -1,4 +1,4 @@
-"""Kernels of :class:`~pmcl.models.tables.LandmarkSightings`: distance, bearing and apparent size of known landmarks."""
+"""Plain kernels of :class:`~pmcl.models.sensors.landmarks.table.LandmarkSightings`, for tables without extras."""
 
 from __future__ import annotations
 
@@ -19,12 +19,10 @@ from pmcl.engine.contract import (
     scratch_rows,
 )
 from pmcl.engine.linear_readings import BEARING, RANGE, SIZE, add_information
+from pmcl.engine.scalars import HALF_LOG_2PI, LOG_2PI, wrap_angle
 from pmcl.engine.tables import NoExtras
 from pmcl.engine.vector_math import atan2_into, exp_into, log_into, sincos_into, upper_tail_into
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
-
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-_LOG_2PI = math.log(2.0 * math.pi)
 
 
 @scratch_rows.register(LandmarkSightings, NoExtras)
@@ -101,7 +99,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
         if not math.isnan(z):
             scale, std = sensor.range_scale[j], sensor.range_std[j]
             if std != usual_std:
-                usual_std, usual_constant = std, -math.log(std) - _HALF_LOG_2PI
+                usual_std, usual_constant = std, -math.log(std) - HALF_LOG_2PI
             inverse_std, constant = 1.0 / std, usual_constant
             shifted, slope = (z - sensor.range_bias[j]) * inverse_std, scale * inverse_std
             outlier -= log_max_range
@@ -114,7 +112,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
         if not math.isnan(size):
             # Gaussian on the ratio observed / ideal; the density of the pixels themselves divides by the ideal.
             inverse_std, per_area = 1.0 / sensor.size_std[j], 1.0 / sensor.size_constant[j]
-            constant = math.log(inverse_std * per_area) - _HALF_LOG_2PI
+            constant = math.log(inverse_std * per_area) - HALF_LOG_2PI
             outlier -= math.log(sensor.size_constant[j])
             area, log_area = scratch[6], angle
             for i in range(n):
@@ -125,8 +123,8 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
                 target[i] += log_area[i] + constant - 0.5 * r * r
         if has_bearing:
             inverse_std = 1.0 / sensor.bearing_std[j]
-            constant = math.log(inverse_std) - _HALF_LOG_2PI
-            outlier -= _LOG_2PI
+            constant = math.log(inverse_std) - HALF_LOG_2PI
+            outlier -= LOG_2PI
             atan2_into(aside, ahead, angle)
             for i in range(n):
                 r = angle[i] * inverse_std
@@ -175,23 +173,22 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     # read.
     if kind == RANGE:
         outlier, inverse_std = 1.0 / sensor.max_range, 1.0 / sensor.range_std[j]
-        constant = math.log(inverse_std) - _HALF_LOG_2PI
+        constant = math.log(inverse_std) - HALF_LOG_2PI
         for i in range(n):
             distance = math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
             deviation[i] = (sensor.range_scale[j] * distance + sensor.range_bias[j] - z) * inverse_std
             share[i] = z * outlier
     elif kind == BEARING:
         outlier, inverse_std = 0.5 / math.pi, 1.0 / sensor.bearing_std[j]
-        constant = math.log(inverse_std) - _HALF_LOG_2PI
+        constant = math.log(inverse_std) - HALF_LOG_2PI
         atan2_into(aside, ahead, draft)
         for i in range(n):
-            residual = z - sensor.bearing_bias[j] + mount_yaw - draft[i]
-            residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
+            residual = wrap_angle(z - sensor.bearing_bias[j] + mount_yaw - draft[i])
             deviation[i] = -residual * inverse_std
             share[i] = 0.5 + residual * outlier
     else:
         outlier, inverse_std = 1.0 / sensor.size_constant[j], 1.0 / sensor.size_std[j]
-        constant = math.log(inverse_std * outlier) - _HALF_LOG_2PI
+        constant = math.log(inverse_std * outlier) - HALF_LOG_2PI
         for i in range(n):
             share[i] = z * outlier
             draft[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
@@ -235,21 +232,20 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
         value, scale, outlier = 0.0, 1.0, 0.0
         if not math.isnan(ranges[k]):
             r = (ranges[k] - range_bias[j] - range_scale[j] * math.sqrt(square)) / range_std[j]
-            value -= 0.5 * r * r + _HALF_LOG_2PI
+            value -= 0.5 * r * r + HALF_LOG_2PI
             scale *= range_std[j]
             outlier -= log_max_range
         if not math.isnan(sizes[k]):
             ideal = size_constant[j] / square
             r = (sizes[k] / ideal - 1.0) / size_std[j]
-            value -= 0.5 * r * r + _HALF_LOG_2PI
+            value -= 0.5 * r * r + HALF_LOG_2PI
             scale *= size_std[j] * ideal
             outlier -= math.log(size_constant[j])
         if not math.isnan(bearings[k]):
-            angle = bearings[k] - bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)
-            r = (angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)) / bearing_std[j]
-            value -= 0.5 * r * r + _HALF_LOG_2PI
+            r = wrap_angle(bearings[k] - bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)) / bearing_std[j]
+            value -= 0.5 * r * r + HALF_LOG_2PI
             scale *= bearing_std[j]
-            outlier -= _LOG_2PI
+            outlier -= LOG_2PI
         value -= math.log(scale)
         if shares[j] > 0.0:
             value = math.log((1.0 - shares[j]) * math.exp(value) + shares[j] * math.exp(outlier))
@@ -257,11 +253,10 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
 
 @linear_information.register(LandmarkSightings, NoExtras)
-def _linear_information(sensor, geometry, t, precision, shift):
-    jacobian = geometry.jacobian
-    for k in range(geometry.first[t], geometry.first[t + 1]):
-        j, kind = geometry.channel[k], geometry.kind[k]
-        scale, expected, std = 1.0, geometry.value[k], 1.0
+def _linear_information(sensor, linear, t, precision, shift):
+    for k in range(linear.first[t], linear.first[t + 1]):
+        j, kind = linear.channel[k], linear.kind[k]
+        scale, expected, std = 1.0, linear.value[k], 1.0
         if kind == RANGE:
             scale, std = sensor.range_scale[j], sensor.range_std[j]
             expected = scale * expected + sensor.range_bias[j]
@@ -273,11 +268,11 @@ def _linear_information(sensor, geometry, t, precision, shift):
             scale = sensor.size_constant[j]
             expected *= scale
             std = sensor.size_std[j] * expected
-        residual = geometry.reading[k] - expected
+        residual = linear.reading[k] - expected
         if kind == BEARING:
-            residual -= 2.0 * math.pi * math.floor(residual / (2.0 * math.pi) + 0.5)
-        weight = geometry.weight[k] / (std * std)
-        add_information(jacobian, k, scale, weight, residual, precision, shift)
+            residual = wrap_angle(residual)
+        weight = linear.weight[k] / (std * std)
+        add_information(linear.jacobian, k, scale, weight, residual, precision, shift)
 
 
 @entry

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.residuals import parameter_value, theta_logpdf
+from pmcl.engine.scalars import HALF_LOG_2PI
 
 __all__ = ["SightingResiduals"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-
 
 
 class SightingResiduals(NamedTuple):
@@ -23,7 +22,7 @@ class SightingResiduals(NamedTuple):
 
     Attributes
     ----------
-    slots, value : ndarray, shape (4,)
+    theta_index, value : ndarray, shape (4,)
         Standard deviations of distance [m], bearing [rad] and size ratio [1], outlier weight.
     residual : ndarray, shape (N, 3)
         Residuals in that order, NaN where not measured.
@@ -33,7 +32,7 @@ class SightingResiduals(NamedTuple):
         Log density of each sighting as an outlier.
     """
 
-    slots: Int
+    theta_index: Int
     value: Float
     residual: Float
     log_scale: Float
@@ -51,7 +50,7 @@ def _sightings(statistics, theta):
             if not math.isnan(residual[i, channel]):
                 std = parameter_value(statistics, theta, channel)
                 r = residual[i, channel] / std
-                inlier -= 0.5 * r * r + math.log(std) + _HALF_LOG_2PI
+                inlier -= 0.5 * r * r + math.log(std) + HALF_LOG_2PI
         outlier = math.log(weight) + log_outlier[i]
         high, low = max(inlier, outlier), min(inlier, outlier)
         value += high + math.log1p(math.exp(low - high))

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.residuals import parameter_value, theta_logpdf
+from pmcl.engine.scalars import HALF_LOG_2PI
 from pmcl.engine.student import log_normal_tail
 
 __all__ = ["RangeResiduals"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-
 
 
 class RangeResiduals(NamedTuple):
@@ -24,7 +23,7 @@ class RangeResiduals(NamedTuple):
 
     Attributes
     ----------
-    slots, value : ndarray, shape (2,)
+    theta_index, value : ndarray, shape (2,)
         Standard deviation [m], outlier weight.
     residual : ndarray, shape (N,)
         Reading minus expected range [m].
@@ -34,7 +33,7 @@ class RangeResiduals(NamedTuple):
         Density of an outlier, 1 / max_range.
     """
 
-    slots: Int
+    theta_index: Int
     value: Float
     residual: Float
     tail: Float
@@ -44,7 +43,7 @@ class RangeResiduals(NamedTuple):
 @theta_logpdf.register(RangeResiduals)
 def _ranges(statistics, theta):
     std, weight = parameter_value(statistics, theta, 0), parameter_value(statistics, theta, 1)
-    constant = math.log((1.0 - weight) / std) - _HALF_LOG_2PI
+    constant = math.log((1.0 - weight) / std) - HALF_LOG_2PI
     floor = weight * statistics.density
     residual, tail = statistics.residual, statistics.tail
     value = 0.0

@@ -1,0 +1,20 @@
+"""The scratch rows of the full kernels of landmark sightings. Column i of each row belongs to state i."""
+
+from __future__ import annotations
+
+__all__ = [
+    "AHEAD", "ANGLE", "ASIDE", "BEFORE", "COSINE", "DISTANCE", "DRAFT", "OTHERS", "POSE", "POSE_BEFORE", "ROWS", "SINE",
+    "TARGET",
+]  # fmt: skip
+
+# Three rows: the pose of the sensor when each column was read; then sine and cosine of the direction it looks in.
+POSE, SINE, COSINE = 0, 3, 4
+# Where a landmark lies: ahead of the sensor and aside, its distance and its bearing.
+AHEAD, ASIDE, DISTANCE, ANGLE = 5, 6, 7, 8
+# The log density that is being computed, that of another component of the mixture, and work space.
+TARGET, OTHERS, DRAFT = 9, 10, 11
+# From here on, the rows POSE to ANGLE again, of the states one row earlier.
+BEFORE = 12
+# Three rows: the poses one row earlier, along a path.
+POSE_BEFORE = 21
+ROWS = 24
