@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pmcl.calibration.particle_gibbs import ParticleGibbs
+    from pmcl.calibration.workflow import calibrate
     from pmcl.criticism.workflow import criticize
     from pmcl.errors import PmclError
     from pmcl.localization.many import localize_many
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from pmcl.maps.walls import WallMap
     from pmcl.models.parameters import Parameter
     from pmcl.models.robot_model import RobotModel, default_model
-    from pmcl.posterior.calibrate import calibrate
     from pmcl.posterior.diagnostics import verdict
     from pmcl.posterior.files import read_posterior, write_posterior
     from pmcl.sampling.move import ParticleGibbsMove
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LandmarkMap",
     "Parameter",
+    "ParticleGibbs",
     "ParticleGibbsMove",
     "PmclError",
     "RobotLog",
@@ -64,12 +66,13 @@ __all__ = [
 _HOMES = {
     "LandmarkMap": "pmcl.maps.landmarks",
     "Parameter": "pmcl.models.parameters",
+    "ParticleGibbs": "pmcl.calibration.particle_gibbs",
     "ParticleGibbsMove": "pmcl.sampling.move",
     "PmclError": "pmcl.errors",
     "RobotLog": "pmcl.logs.robot_log",
     "RobotModel": "pmcl.models.robot_model",
     "WallMap": "pmcl.maps.walls",
-    "calibrate": "pmcl.posterior.calibrate",
+    "calibrate": "pmcl.calibration.workflow",
     "criticize": "pmcl.criticism.workflow",
     "default_model": "pmcl.models.robot_model",
     "localize": "pmcl.localization.offline",

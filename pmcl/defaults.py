@@ -1,28 +1,24 @@
-"""Default settings that both the Python functions and the command line's help state; importing them costs nothing."""
+"""Default settings that both the Python functions and the command line's help state; importing them costs nothing.
+
+The settings of a calibration method, such as the particles of particle Gibbs, are fields of its class in
+:mod:`pmcl.calibration`, with their defaults and help.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
 __all__ = [
-    "BURN_IN_PARTICLES",
-    "CALIBRATION_PARTICLES",
     "CHAINS",
     "CRITICISM_PARTICLES",
-    "DATA_RATE_PARTS",
     "DRAWS",
     "FALSE_ALARM_LEVEL",
     "LOCALIZATION_DRAWS",
     "LOCALIZATION_DRAWS_PER_READING",
     "LOCALIZATION_PARTICLES",
-    "METROPOLIS_STEPS",
     "SIMULATION_DURATION",
-    "SWEEPS_PER_DRAW",
+    "TRAJECTORIES",
 ]
-
-CALIBRATION_PARTICLES: Final = {"conditional": 25, "smoothing": 500, "ensemble": 200}
-"""Particles by kernel of particle Gibbs, and of the ensemble's filter. The conditional kernel is exact with any number;
-the others are not, and need many."""
 
 DRAWS: Final = 1000
 """Draws of each chain after burn-in."""
@@ -30,17 +26,8 @@ DRAWS: Final = 1000
 CHAINS: Final = 4
 """Chains that are run and compared with each other."""
 
-METROPOLIS_STEPS: Final = 5
-"""Rounds of updates of theta for each trajectory, the paper's m (analyses/effect_of_m_and_r: above 10 no gain)."""
-
-SWEEPS_PER_DRAW: Final = 2
-"""Sweeps from one stored draw to the next."""
-
-BURN_IN_PARTICLES: Final = 1000
-"""Particles while data is being included: a robot that is lost then stays lost."""
-
-DATA_RATE_PARTS: Final = 50
-"""Each sweep of burn-in includes one such part of the longest log, which makes the paper's r."""
+TRAJECTORIES: Final = 100
+"""Trajectories of each chain that are kept."""
 
 LOCALIZATION_PARTICLES: Final = 500
 """Particles of a localizing filter."""

@@ -1,9 +1,9 @@
-"""What installed packages add to pmcl: sensors, motion models and effects, found by their entry points.
+"""What installed packages add to pmcl: sensors, motion models, effects and calibration methods, by entry points.
 
-pmcl's own sensors and motion models stand in the tables below, and generic code asks this registry for them as for any
-other: it lists no sensor by name. An installed package adds one with an entry point. In its pyproject.toml it says, for
-example, ``[project.entry-points."pmcl.sensors"]`` and below ``compass = "my_package.compass:Compass"``. A script or a
-notebook calls :func:`register` instead.
+pmcl's own sensors, motion models and methods stand in the tables below, and generic code asks this registry for them as
+for any other: it lists no sensor by name. An installed package adds one with an entry point. In its pyproject.toml it
+says, for example, ``[project.entry-points."pmcl.sensors"]`` and below ``compass = "my_package.compass:Compass"``. A
+script or a notebook calls :func:`register` instead.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 from pmcl.errors import ModelError
 
-__all__ = ["EFFECTS", "MOTIONS", "SENSORS", "names", "origin", "register", "registered", "sensor_variables"]
+__all__ = ["EFFECTS", "METHODS", "MOTIONS", "SENSORS", "names", "origin", "register", "registered", "sensor_variables"]
 
-SENSORS, MOTIONS, EFFECTS = "pmcl.sensors", "pmcl.motions", "pmcl.effects"
-"""Groups of entry points: classes of sensors, classes of motion models, and effects or sequences of effects."""
+SENSORS, MOTIONS, EFFECTS, METHODS = "pmcl.sensors", "pmcl.motions", "pmcl.effects", "pmcl.methods"
+"""Groups of entry points: classes of sensors and motion models, effects or sequences of them, calibration methods."""
 
 _OWN: dict[str, dict[str, str]] = {
     SENSORS: {
@@ -31,6 +31,10 @@ _OWN: dict[str, dict[str, str]] = {
         "growing": "pmcl.models.motions.increments.motion:GrowingIncrementNoise",
     },
     EFFECTS: {},
+    METHODS: {
+        "particle-gibbs": "pmcl.calibration.particle_gibbs:ParticleGibbs",
+        "ensemble": "pmcl.calibration.ensemble:Ensemble",
+    },
 }
 
 # What the sensors above are in a log, without their models: reading a log needs no compiler and no statistics.
@@ -53,9 +57,10 @@ _KINDS: dict[str, _Kind] = {
     ),
     MOTIONS: _Kind("a class of motion models", lambda value: isinstance(value, type)),
     EFFECTS: _Kind("an effect or a sequence of effects", lambda value: not isinstance(value, type)),
+    METHODS: _Kind("a class of calibration methods", lambda value: isinstance(value, type)),
 }
 
-_added: dict[str, dict[str, Any]] = {SENSORS: {}, MOTIONS: {}, EFFECTS: {}}
+_added: dict[str, dict[str, Any]] = {SENSORS: {}, MOTIONS: {}, EFFECTS: {}, METHODS: {}}
 
 
 def _has_variables(value: type) -> bool:
@@ -115,7 +120,7 @@ def registered(group: str) -> dict[str, Any]:
     Parameters
     ----------
     group : str
-        One of :data:`SENSORS`, :data:`MOTIONS` and :data:`EFFECTS`.
+        One of :data:`SENSORS`, :data:`MOTIONS`, :data:`EFFECTS` and :data:`METHODS`.
 
     Returns
     -------
@@ -167,7 +172,7 @@ def register(group: str, name: str, value: Any) -> None:
     Parameters
     ----------
     group : str
-        One of :data:`SENSORS`, :data:`MOTIONS` and :data:`EFFECTS`.
+        One of :data:`SENSORS`, :data:`MOTIONS`, :data:`EFFECTS` and :data:`METHODS`.
     name : str
         Its name: for sensors and motion models the one that model files use.
     value : object

@@ -27,8 +27,8 @@ __all__ = ["compare"]
     default="conditional,smoothing,ensemble",
     show_default=True,
     metavar="NAME[:N],...",
-    help="Methods, each with a number of particles if you like: conditional:25 (or particle-gibbs:25), plain:25 (the "
-    "same without transport moves), smoothing:500, ensemble:200.",
+    help="Methods of 'pmcl calibrate', each with a number of particles if you like: particle-gibbs:25 (or "
+    "conditional:25), plain:25 (the same without transport moves), smoothing:500, ensemble:200.",
 )
 @output_option("The page to write (HTML, one file).")
 @click.option(
@@ -66,19 +66,19 @@ def compare(
     protect_inputs(ctx, output, (log, *([model_file] if model_file else [])))
     from pmcl.comparison.methods import parse_methods
 
-    wanted = parse_methods(methods)
+    compared = parse_methods(methods)
     from pmcl.comparison.compare import compare as run
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.model_file import read_model
     from pmcl.reports.comparison_report import comparison_text, comparison_verdict, write_comparison
 
-    read = RobotLog.read(log)
-    model = read_model(model_file, read) if model_file else None
+    robot_log = RobotLog.read(log)
+    model = read_model(model_file, robot_log) if model_file else None
     progress = wants_progress(no_progress)
-    made = run(read, wanted, model, seconds=seconds, chains=chains, seed=seed, progress=progress)
-    write_comparison(made, output)
-    judged = comparison_verdict(made)
-    click.echo(comparison_text(made))
+    comparison = run(robot_log, compared, model, seconds=seconds, chains=chains, seed=seed, progress=progress)
+    write_comparison(comparison, output)
+    judged = comparison_verdict(comparison)
+    click.echo(comparison_text(comparison))
     click.echo()
     for line in (judged.message, *judged.advice):
         click.echo(line)

@@ -84,7 +84,7 @@ def criticize(
         raise click.UsageError(
             "--posterior is the result of the full chains that --no-joint leaves out: give one of the two", ctx
         )
-    from pmcl.cli.report import tell
+    from pmcl.cli.report import print_verdict
     from pmcl.criticism.workflow import criticize as run
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.model_file import read_model
@@ -104,7 +104,7 @@ def criticize(
     if better_model is not None:
         found.write_model(better_model)
     click.echo(f"{found.verdict}: {found.sentence}.")
-    status = tell(found.posterior) if better_posterior is not None else 0
+    status = print_verdict(found.posterior) if better_posterior is not None else 0
     for name, written in (("report", output), ("model", better_model), ("posterior", better_posterior)):
         if written is not None:
             click.echo(f"{name}: {written}")

@@ -8,7 +8,7 @@ import click
 
 from pmcl.cli.application import on_interrupt
 from pmcl.cli.options import output_folder, progress_option, seed_option, wants_progress
-from pmcl.cli.report import tell
+from pmcl.cli.report import print_verdict
 
 __all__ = ["demo"]
 
@@ -41,7 +41,7 @@ def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None
 
     Exit status as of 'pmcl calibrate'.
     """
-    from pmcl.posterior.calibrate import calibrate
+    from pmcl.calibration.workflow import calibrate
     from pmcl.posterior.files import replacing, write_posterior
     from pmcl.reports.figures import plot_pair
     from pmcl.reports.posterior_report import write_report
@@ -54,7 +54,7 @@ def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None
     click.echo(f"{paths['log']}: an Amigobot with eight sonars drove for {log.n_steps} s ({log.n_readings} readings)")
     data = calibrate(log, draws=_DRAWS, seed=seed, progress=wants_progress(no_progress))
     write_posterior(data, paths["posterior"])
-    status = tell(data)
+    status = print_verdict(data)
     write_report(data, paths["report"])
     with replacing(paths["picture"]) as temporary:
         plot_pair(data).savefig(temporary, format="png", dpi=90)

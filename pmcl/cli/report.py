@@ -13,7 +13,7 @@ from pmcl.cli.options import output_option
 if TYPE_CHECKING:
     from pmcl.posterior.compat import Posterior
 
-__all__ = ["report", "tell"]
+__all__ = ["print_verdict", "report"]
 
 
 @click.command(short_help="Write one page about a posterior: verdict, table, figures.")
@@ -34,7 +34,7 @@ def report(posterior: str, output: Path) -> None:
     click.echo(f"report: {output}")
 
 
-def tell(data: Posterior) -> int:
+def print_verdict(data: Posterior) -> int:
     """Print table and verdict of a posterior; return the exit status that both halves of the verdict mean."""
     from pmcl.posterior.diagnostics import summarize, verdict
     from pmcl.reports.tables import summary_text

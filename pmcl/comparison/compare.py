@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.calibration.particle_gibbs import ParticleGibbs
 from pmcl.checks import check_flag, check_number, check_seed, check_type, check_whole
 from pmcl.comparison.curves import Curve, Reference, learning_curve, reference_of
-from pmcl.comparison.methods import Method, as_methods, draw
+from pmcl.comparison.methods import ComparedMethod, as_methods, draw
 from pmcl.errors import ModelError, PmclError, SamplingError
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.diagnostics import R_HAT_LIMIT
-from pmcl.sampling.chains import Chains
-from pmcl.sampling.run import run_ensemble, run_particle_gibbs
-from pmcl.sampling.stages import Plan
+from pmcl.sampling.chains import Chains, PointEstimate
+from pmcl.sampling.options import RunOptions
 from pmcl.sampling.stopwatch import Stopwatch
 
 __all__ = ["Comparison", "Failure", "MethodResult", "compare"]
@@ -28,28 +28,34 @@ __all__ = ["Comparison", "Failure", "MethodResult", "compare"]
 Float = NDArray[np.float64]
 
 # More particles than a method needs by itself: the reference should owe nothing to their number.
-_REFERENCE = Method("conditional", 50)
+_REFERENCE = ComparedMethod(
+    "conditional", ParticleGibbs(particles=50, sweeps_per_draw=1), "particle Gibbs with more particles than it needs"
+)
+# A run that only compiles has so many draws of so many chains.
+_SHORTEST = RunOptions(draws=4, chains=2, trajectories=1)
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What one method made of its time.
+    """What one method found in its time.
 
     Attributes
     ----------
-    method : Method
+    method : ComparedMethod
+        The method.
     chains, draws : int
         Chains (for the ensemble, walkers), and draws of each after burn-in.
     seconds, burn_in, burn_in_cpu : float
         Seconds that the whole run took by the clock, and those before the first draw by the clock and of all cores
         together.
     mean, sd : ndarray, shape (d,)
-        Of its draws.
+        Mean and standard deviation of its draws; of a point estimate, the estimate and its standard error (NaN when
+        there is none).
     curve : Curve
-        How it got there; the last point is what all draws give.
+        What its first draws gave, for growing numbers of them; the last point has all draws.
     """
 
-    method: Method
+    method: ComparedMethod
     chains: int
     draws: int
     seconds: float
@@ -68,7 +74,7 @@ class MethodResult:
 class Failure(NamedTuple):
     """A method that gave no draws in its time, and why."""
 
-    method: Method
+    method: ComparedMethod
     reason: str
 
 
@@ -86,7 +92,7 @@ class Comparison:
         True parameters, when the log is simulated.
     reference : Reference
         The posterior by a longer run of another seed.
-    reference_method : Method
+    reference_method : ComparedMethod
     reference_seconds : float
         How long that run took by the clock.
     results : tuple of MethodResult
@@ -104,7 +110,7 @@ class Comparison:
     units: tuple[str, ...]
     truth: Float | None
     reference: Reference
-    reference_method: Method
+    reference_method: ComparedMethod
     reference_seconds: float
     results: tuple[MethodResult, ...]
     seconds: float
@@ -121,7 +127,7 @@ class Comparison:
 @stopping_on_interrupt()
 def compare(
     log: RobotLog,
-    methods: str | Sequence[Method],
+    methods: str | Sequence[Any],
     model: RobotModel | None = None,
     *,
     seconds: float = 60.0,
@@ -134,8 +140,10 @@ def compare(
     Parameters
     ----------
     log : RobotLog
-    methods : str or sequence of Method
-        As :func:`pmcl.comparison.methods.parse_methods` reads them, e.g. ``"conditional:25,smoothing:500,ensemble"``.
+        The log.
+    methods : str or sequence of CalibrationMethod or ComparedMethod
+        Text as :func:`pmcl.comparison.methods.parse_methods` reads it, such as
+        ``"conditional:25,smoothing:500,ensemble"``.
     model : RobotModel, optional
         The log's default model when left out.
     seconds : float
@@ -159,7 +167,7 @@ def compare(
         When the methods cannot be read, `seconds` or `chains` are not usable, log and model do not fit each other, or
         the reference cannot start. A method that cannot is no error, but one of the result's `failures`.
     """
-    wanted = as_methods(methods)
+    compared = as_methods(methods)
     seconds = check_number("seconds", seconds, 0.0, unit="s", open_low=True, error=SamplingError, advice="60 is usual")
     chains = check_whole("chains", chains, 2, error=SamplingError, advice="4 are usual")
     seed = check_seed(seed, error=SamplingError)
@@ -169,21 +177,22 @@ def compare(
     bound = (default_model(log) if model is None else model).bind(log)
     known = log.true_theta or {}
     truth = np.array([known[name] for name in bound.names]) if set(bound.names) <= set(known) else None
-    first, *seeds = (int(s) for s in np.random.SeedSequence(seed).generate_state(1 + len(wanted)))
-    _compile(bound, wanted)
+    first, *seeds = (int(s) for s in np.random.SeedSequence(seed).generate_state(1 + len(compared)))
+    _compile(bound, compared)
     try:
         drawn, stopwatch = _timed(_REFERENCE, bound, chains, first, 2.0 * seconds, "reference", progress)
     except PmclError as error:
         raise SamplingError(f"the reference run, {_REFERENCE} in {2.0 * seconds:g} s, gave no draws: {error}") from None
+    assert isinstance(drawn, Chains)
     reference = reference_of(drawn.theta)
     results, failures = [], []
-    for method, own in zip(wanted, seeds, strict=True):
+    for method, method_seed in zip(compared, seeds, strict=True):
         try:
-            made, clock = _timed(method, bound, chains, own, seconds, str(method), progress)
+            found, clock = _timed(method, bound, chains, method_seed, seconds, str(method), progress)
         except PmclError as error:
             failures.append(Failure(method, str(error)))
             continue
-        results.append(_measured(method, made, clock, reference, truth))
+        results.append(_measured(method, found, clock, reference, truth))
     return Comparison(
         log=log.robot or log.where,
         names=bound.names,
@@ -200,44 +209,51 @@ def compare(
     )
 
 
-def _compile(bound: BoundModel, methods: Sequence[Method]) -> None:
-    """Run every kind of method for a moment, so that nobody's time goes into compiling or importing."""
-    rows = max(bound.lengths)
-    short = Plan(particles=10, burn_in_particles=10, data_rate=rows, settle=2, tuning=(4, 4), draws=4, trajectories=1)
-    # What is wrong with the log will be said by the run that counts.
-    with suppress(PmclError):
-        run_particle_gibbs(bound, short, 2, 0)
-    if any(method.name == "ensemble" for method in methods):
+def _compile(bound: BoundModel, methods: Sequence[ComparedMethod]) -> None:
+    """Run every kind of method for a moment, so that no method's time goes into compiling or importing."""
+    kinds = {type(compared.method): compared.method for compared in (*methods, _REFERENCE)}
+    for method in kinds.values():
+        # What is wrong with the log will be said by the run that counts.
         with suppress(PmclError):
-            run_ensemble(bound, particles=10, n_walkers=2 * bound.dimension + 2, draws=1, burn_in=1, seed=0)
+            method.shortest().run(bound, _SHORTEST)
 
 
 def _timed(
-    method: Method, bound: BoundModel, chains: int, seed: int, seconds: float, label: str, progress: bool
-) -> tuple[Chains, Stopwatch]:
-    with _bar(label, seconds, progress) as tell:
-        stopwatch = Stopwatch(seconds, tell)
+    method: ComparedMethod, bound: BoundModel, chains: int, seed: int, seconds: float, label: str, progress: bool
+) -> tuple[Chains | PointEstimate, Stopwatch]:
+    with _bar(label, seconds, progress) as show_seconds:
+        stopwatch = Stopwatch(seconds, show_seconds)
         drawn = draw(method, bound, chains, seed, stopwatch)
         stopwatch.stop()
         return drawn, stopwatch
 
 
 def _measured(
-    method: Method, made: Chains, clock: Stopwatch, reference: Reference, truth: Float | None
+    method: ComparedMethod,
+    found: Chains | PointEstimate,
+    stopwatch: Stopwatch,
+    reference: Reference,
+    truth: Float | None,
 ) -> MethodResult:
-    n_draws = made.n_draws
-    wall, cpu = np.array(clock.wall), np.array(clock.cpu)
-    flat = made.theta.reshape(-1, made.theta.shape[-1])
+    chains = found.as_chains() if isinstance(found, PointEstimate) else found
+    n_draws = chains.n_draws
+    flat = chains.theta.reshape(-1, chains.theta.shape[-1])
+    if isinstance(found, Chains) and len(flat) > 1:
+        sd = flat.std(axis=0, ddof=1)
+    else:
+        error = found.standard_error if isinstance(found, PointEstimate) else None
+        sd = error if error is not None else np.full(flat.shape[1], np.nan)
+    times = stopwatch.draw_times(n_draws)
     return MethodResult(
         method=method,
-        chains=made.n_chains,
+        chains=chains.n_chains,
         draws=n_draws,
-        seconds=clock.seconds,
-        burn_in=float(wall[-n_draws - 1]),
-        burn_in_cpu=float(cpu[-n_draws - 1]),
+        seconds=stopwatch.seconds,
+        burn_in=times.burn_in,
+        burn_in_cpu=times.burn_in_cpu,
         mean=flat.mean(axis=0),
-        sd=flat.std(axis=0, ddof=1),
-        curve=learning_curve(made.theta, wall[-n_draws:], cpu[-n_draws:], reference, truth),
+        sd=sd,
+        curve=learning_curve(chains.theta, np.array(times.wall), np.array(times.cpu), reference, truth),
     )
 
 

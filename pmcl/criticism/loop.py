@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.calibration.particle_gibbs import ParticleGibbs
+from pmcl.calibration.workflow import calibrate
 from pmcl.criticism.findings.assemble import (
     candidates_of,
     drawn_estimates,
@@ -36,7 +38,6 @@ from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.robot_model import RobotModel
-from pmcl.posterior.calibrate import calibrate
 from pmcl.posterior.compat import Posterior
 
 __all__ = ["Loop"]
@@ -293,7 +294,7 @@ class Loop:
         reporter = self.settings.reporter
         with reporter.paused():
             return calibrate(
-                self.log, model, draws=draws, metropolis_steps=_METROPOLIS_STEPS,
+                self.log, model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
                 seed=self.settings.seed, progress=reporter.live,
             )  # fmt: skip
 

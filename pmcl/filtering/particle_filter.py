@@ -15,7 +15,7 @@ from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.interrupts import check_interrupt
 from pmcl.models.tables import Tables
 
-__all__ = ["FilterPass", "SweepInfo", "draw_paths", "log_joint", "make_rng", "run_filter", "sweep_path"]
+__all__ = ["FilterPass", "PathUpdate", "draw_paths", "log_joint", "make_rng", "run_filter", "update_path"]
 
 Float = NDArray[np.float64]
 Kernel = Literal["smoothing", "conditional"]
@@ -28,7 +28,7 @@ def make_rng(seed: int | np.random.SeedSequence | None = None) -> np.random.Gene
 
 @dataclass(frozen=True)
 class FilterPass:
-    """What a particle filter leaves behind.
+    """The result of a particle filter.
 
     Attributes
     ----------
@@ -157,30 +157,30 @@ def draw_paths(tables: Tables, filtered: FilterPass, n_paths: int, rng: np.rando
     return np.asarray(paths)
 
 
-class SweepInfo(NamedTuple):
-    """How one trajectory update went.
+class PathUpdate(NamedTuple):
+    """How one draw of a trajectory went.
 
     Attributes
     ----------
     log_evidence : float
-        Estimate of log p(readings | theta); unbiased with the smoothing kernel only.
-    effective_size : float
+        Estimate of log p(readings | theta) [nat]; unbiased with the smoothing kernel only.
+    effective_share : float
         Mean effective sample size over rows with readings, as a share of n.
-    changed : float
+    changed_share : float
         Share of states that differ from the previous trajectory.
-    alive : bool
-        False when every particle got weight zero; the trajectory was then left as it was.
+    succeeded : bool
+        False when every particle had weight zero at some row; the trajectory was then left as it was.
     """
 
     log_evidence: float
-    effective_size: float
-    changed: float
-    alive: bool
+    effective_share: float
+    changed_share: float
+    succeeded: bool
 
 
-def sweep_path(
+def update_path(
     tables: Tables, path: Float, n_steps: int, n_particles: int, rng: np.random.Generator, kernel: Kernel
-) -> SweepInfo:
+) -> PathUpdate:
     """Replace the first `n_steps` states of `path` (T, D) in place by one draw.
 
     Parameters
@@ -192,12 +192,16 @@ def sweep_path(
     n_steps : int
         Rows to use (all, or fewer while data is being included).
     n_particles : int
-        Number of particles.
+        Number of particles n.
     rng : numpy.random.Generator
         Source of randomness.
     kernel : {"smoothing", "conditional"}
         ``smoothing``: filter forward, sample backward (the paper's; exact only as n grows). ``conditional``:
         conditional SMC with backward sampling (exact for any n; Whiteley 2010, Lindsten and Schon 2013).
+
+    Returns
+    -------
+    PathUpdate
 
     Raises
     ------
@@ -208,9 +212,9 @@ def sweep_path(
         tables, rng, n_steps, n_particles, kernel == "conditional", path
     )
     if status == smc.ALL_ZERO:
-        return SweepInfo(-math.inf, 0.0, 0.0, False)
+        return PathUpdate(-math.inf, 0.0, 0.0, succeeded=False)
     raise_outcome(status, t, f"{kernel} sweep")
-    return SweepInfo(log_evidence, effective / n_particles, changed / n_steps, True)
+    return PathUpdate(log_evidence, effective / n_particles, changed / n_steps, succeeded=True)
 
 
 def log_joint(tables: Tables, path: Float) -> float:

@@ -18,7 +18,7 @@ from pmcl.geometry import wrap
 from pmcl.posterior.compat import Posterior, assemble
 from pmcl.posterior.log_groups import LogLike, log_groups, suffixes_for
 from pmcl.posterior.settings import encode_setting
-from pmcl.sampling.chains import Chains
+from pmcl.sampling.chains import Chains, PointEstimate
 
 __all__ = ["ParameterLike", "to_arviz"]
 
@@ -35,6 +35,7 @@ _STATISTICS = {
     "path_block_redraw_rate": ("1", "share of blocks of the path that were redrawn"),
     "path_update_rate": ("1", "share of rows of the path that a sweep changes"),
     "particle_ess": ("1", "effective particles, mean over rows"),
+    "standard_error": ("of the parameter", "standard error of a point estimate"),
     "log_evidence": ("nat", "particle filter's estimate of the log evidence"),
 }
 
@@ -60,23 +61,24 @@ class ParameterLike(Protocol):
 
 
 def to_arviz(
-    chains: Chains,
+    result: Chains | PointEstimate,
     parameters: Sequence[ParameterLike],
     logs: Sequence[LogLike],
     *,
     prior_draws: int = 1000,
     prior_seed: int = 0,
 ) -> Posterior:
-    """Label the draws of a calibration.
+    """Label the result of a calibration.
 
     Parameters
     ----------
-    chains : Chains
-        K chains of N draws of d parameters, with trajectories of each log.
+    result : Chains or PointEstimate
+        K chains of N draws of d parameters, with trajectories of each log or without. A point estimate becomes one
+        chain of one draw, whose standard errors are in ``sample_stats``.
     parameters : sequence of parameters, length d
-        In the order of ``chains.names``.
+        In the order of ``result.names``.
     logs : sequence of logs
-        In the order of ``chains.trajectories``.
+        In the order of ``result.trajectories``.
     prior_draws : int
         How many draws from the prior to keep beside the posterior.
     prior_seed : int
@@ -100,6 +102,7 @@ def to_arviz(
     ``arviz.plot_trace(data)`` need no further arguments. Trajectories are thinned, so ``trajectory`` runs over
     ``trajectory_draw`` instead of ``draw`` and has a group of its own.
     """
+    chains = result.as_chains() if isinstance(result, PointEstimate) else result
     _check_chains(chains, parameters)
     _check_trajectories(chains, logs)
     observed, constant = log_groups(logs)
@@ -117,9 +120,10 @@ def to_arviz(
     trajectories = _trajectories(chains, logs)
     if trajectories.data_vars:
         groups["trajectories"] = trajectories
-    if chains.warmup_theta.shape[1] > 0:
+    if chains.warmup_theta is not None and chains.warmup_theta.shape[1] > 0:
         groups["warmup_posterior"] = _theta(chains.warmup_theta, parameters)
-        groups["warmup_sample_stats"] = _log_joint(chains.warmup_log_joint)
+        if chains.warmup_log_joint is not None:
+            groups["warmup_sample_stats"] = _log_joint(chains.warmup_log_joint)
     return assemble(groups, attrs)
 
 
@@ -136,7 +140,8 @@ def _theta(theta: Float, parameters: Sequence[ParameterLike]) -> xr.Dataset:
 def _trajectories(chains: Chains, logs: Sequence[LogLike]) -> xr.Dataset:
     variables: dict[str, xr.DataArray] = {}
     coords: dict[str, Any] = {}
-    for states, log, suffix in zip(chains.trajectories, logs, suffixes_for(len(logs)), strict=True):
+    # A method may draw no trajectories.
+    for states, log, suffix in zip(chains.trajectories, logs, suffixes_for(len(logs)), strict=False):
         # A dimension of length zero would turn into an unlimited one on disk.
         if states.shape[1] == 0:
             continue
@@ -161,7 +166,8 @@ def _trajectories(chains: Chains, logs: Sequence[LogLike]) -> xr.Dataset:
 
 
 def _statistics(chains: Chains) -> xr.Dataset:
-    dataset = _log_joint(chains.log_joint)
+    draws = _sample_coords(chains.n_chains, chains.n_draws)
+    dataset = xr.Dataset(coords=draws) if chains.log_joint is None else _log_joint(chains.log_joint)
     for name, values in chains.statistics.items():
         dims = ("chain", "draw") if values.ndim == 2 else ("chain", "draw", "parameter")
         units, long_name = _STATISTICS.get(name, ("1", name.replace("_", " ")))
@@ -256,7 +262,8 @@ def _check_chains(chains: Chains, parameters: Sequence[ParameterLike]) -> None:
             f"draw {draw}: check the prior and the model for this parameter"
         )
     draws = chains.theta.shape[:2]
-    for name, values in (("lp", chains.log_joint), *chains.statistics.items()):
+    joint = [] if chains.log_joint is None else [("lp", chains.log_joint)]
+    for name, values in (*joint, *chains.statistics.items()):
         fits = values.shape == draws or (name != "lp" and values.shape == chains.theta.shape)
         if not fits or (name == "lp" and values is not chains.log_joint):
             raise PosteriorError(
@@ -266,12 +273,12 @@ def _check_chains(chains: Chains, parameters: Sequence[ParameterLike]) -> None:
 
 
 def _check_trajectories(chains: Chains, logs: Sequence[LogLike]) -> None:
-    if len(logs) == 0 or len(chains.trajectories) != len(logs):
+    if len(logs) == 0 or (chains.trajectories and len(chains.trajectories) != len(logs)):
         raise PosteriorError(
             f"expected one array of trajectories for each log, got {len(chains.trajectories)} for {len(logs)} logs: "
             "pass the logs that were calibrated, in the same order"
         )
-    for index, (states, log) in enumerate(zip(chains.trajectories, logs, strict=True)):
+    for index, (states, log) in enumerate(zip(chains.trajectories, logs, strict=False)):
         expected = (chains.n_chains, len(chains.trajectory_draw), log.dataset.sizes["time"])
         if states.ndim != 4 or states.shape[:3] != expected or states.shape[3] < 3:
             raise PosteriorError(

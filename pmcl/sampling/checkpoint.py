@@ -31,7 +31,7 @@ __all__ = ["Checkpoint", "fingerprint"]
 _logger = logging.getLogger("pmcl.sampling")
 
 # Grows when the layout of the file changes.
-_VERSION = 2
+_VERSION = 3
 # Seconds between two writes: at least so many, and so many times as long as the last write took. So a run that is
 # killed loses a few seconds, and writing takes at most a twentieth of the time.
 _LEAST_PAUSE, _PAUSE_PER_WRITE = 5.0, 20.0

@@ -9,23 +9,43 @@ from __future__ import annotations
 
 import hashlib
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from emcee.state import State
 from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError, SamplingError
-from pmcl.filtering.particle_filter import log_joint, make_rng, sweep_path
+from pmcl.filtering.particle_filter import log_joint, make_rng, update_path
 from pmcl.models.robot_model import BoundModel
-from pmcl.sampling.stages import INCLUSION_SHARE
-from pmcl.sampling.state import ChainState, blob_dtype, into_blob, state_dimension
+from pmcl.sampling.advance import StageRunner
+from pmcl.sampling.chains import Chains
+from pmcl.sampling.options import RunOptions, SettingValue
+from pmcl.sampling.session import check_run_memory, collected, run_session
+from pmcl.sampling.stages import BURN_IN_SHARE, INCLUSION_SHARE
+from pmcl.sampling.state import state_dimension
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.sweep import included
 
-__all__ = ["PseudoMarginalTarget", "first_walkers"]
+__all__ = ["EstimateInfo", "PseudoMarginalTarget", "first_walkers", "run_ensemble"]
 
 Float = NDArray[np.float64]
+
+
+class EstimateInfo(NamedTuple):
+    """How an estimate of the evidence went. The names are those of ArviZ's group ``sample_stats``.
+
+    Attributes
+    ----------
+    log_evidence : float
+        Log of the unbiased estimate of p(readings | theta) [nat]; minus infinity for an impossible theta.
+    particle_ess : float
+        Mean effective sample size over rows with readings, as a share of the particles; mean over the logs.
+    """
+
+    log_evidence: float = -math.inf
+    particle_ess: float = 0.0
 
 
 class PseudoMarginalTarget:
@@ -40,43 +60,46 @@ class PseudoMarginalTarget:
         2015).
     seed : int
         Part of every estimate's seed.
+
+    Attributes
+    ----------
+    dtype : numpy.dtype
+        That of a blob: the trajectory, the log joint density, and the fields of :class:`EstimateInfo`.
     """
 
     def __init__(self, bound: BoundModel, particles: int, seed: int) -> None:
         self.bound, self.particles, self.seed = bound, particles, seed
-        self.size = state_dimension(bound)
-        self.dtype = blob_dtype(bound, self.size)
+        self.path_shape = (sum(bound.lengths), state_dimension(bound))
+        numbers: list[Any] = [(name, np.float64) for name in ("log_joint", *EstimateInfo._fields)]
+        self.dtype = np.dtype([("path", np.float64, self.path_shape), *numbers])
 
     def __call__(self, theta: Float) -> tuple[Any, ...]:
-        """Return the log target and, one by one as emcee wants them, the fields of the blob."""
-        bound, d = self.bound, self.bound.dimension
+        """Return the log target and, one by one as emcee needs them, the fields of the blob."""
+        bound = self.bound
         theta = np.ascontiguousarray(theta, dtype=float)
-        path = np.zeros((sum(bound.lengths), self.size))
-        value = bound.log_prior(theta)
-        evidence, effective, joint = -math.inf, 0.0, -math.inf
-        if value > -math.inf:
+        path = np.zeros(self.path_shape)
+        prior = bound.log_prior(theta)
+        info, joint = EstimateInfo(), -math.inf
+        if prior > -math.inf:
             key = hashlib.sha256(theta.tobytes() + str(self.seed).encode()).digest()[:16]
             rng = make_rng(np.random.SeedSequence(int.from_bytes(key, "little")))
             try:
                 bound.check(theta)
                 tables = bound.tables(theta)
-                views = included(bound, path, max(bound.lengths))
-                infos = [
-                    sweep_path(table, view, len(view), self.particles, rng, "smoothing")
-                    for table, view in zip(tables, views, strict=True)
+                paths = included(bound, path, max(bound.lengths))
+                updates = [
+                    update_path(table, log_path, len(log_path), self.particles, rng, "smoothing")
+                    for table, log_path in zip(tables, paths, strict=True)
                 ]
             except (FilterError, ModelError):
-                infos = []
-            if infos and all(info.alive for info in infos):
-                evidence = math.fsum(info.log_evidence for info in infos)
-                effective = float(np.mean([info.effective_size for info in infos]))
-                joint = value + math.fsum(log_joint(t, view) for t, view in zip(tables, views, strict=True))
-        nothing = np.full(d, math.nan)
-        rows = max(bound.lengths)
-        state = ChainState(
-            theta, joint, path, nothing, 0.0, rows, nothing, *(math.nan,) * 3, evidence, effective, math.nan, 0
-        )
-        return value + evidence, *into_blob(state, self.dtype).item()
+                updates = []
+            if updates and all(update.succeeded for update in updates):
+                info = EstimateInfo(
+                    log_evidence=math.fsum(update.log_evidence for update in updates),
+                    particle_ess=float(np.mean([update.effective_share for update in updates])),
+                )
+                joint = prior + math.fsum(log_joint(t, log_path) for t, log_path in zip(tables, paths, strict=True))
+        return prior + info.log_evidence, path, joint, *info
 
 
 def first_walkers(
@@ -84,12 +107,31 @@ def first_walkers(
     n_walkers: int,
     seed: int,
     pool: Any,
-    clock: Stopwatch | None = None,
+    stopwatch: Stopwatch | None = None,
     tries: int = 8,
 ) -> State:
     """Start an ensemble: of ``tries * n_walkers`` draws from the prior, those with the greatest target.
 
     In a run of limited time there are fewer draws when they take too long, but enough to start.
+
+    Parameters
+    ----------
+    target : PseudoMarginalTarget
+        The function that emcee samples.
+    n_walkers : int
+        Size of the ensemble.
+    seed : int
+        Seed of the draws, and of emcee's own generator.
+    pool : object with a `map` method, optional
+        Evaluates the target.
+    stopwatch : Stopwatch, optional
+        The time of the run.
+    tries : int
+        Draws from the prior for each walker.
+
+    Returns
+    -------
+    emcee.State
 
     Raises
     ------
@@ -104,7 +146,7 @@ def first_walkers(
     for part in np.array_split(coords, tries):
         results += run(target, part)
         values = np.array([result[0] for result in results])
-        late = clock is not None and clock.now() >= INCLUSION_SHARE * clock.limit
+        late = stopwatch is not None and stopwatch.now() >= INCLUSION_SHARE * stopwatch.limit
         if late and np.isfinite(values).sum() >= n_walkers:
             break
     best = np.argsort(-values, kind="stable")[:n_walkers]
@@ -116,3 +158,63 @@ def first_walkers(
     blobs = np.array([results[k][1:] for k in best], dtype=target.dtype)
     random_state = np.random.RandomState(seed % 2**32).get_state()
     return State(coords[best], log_prob=values[best], blobs=blobs, random_state=random_state)
+
+
+def run_ensemble(
+    bound: BoundModel,
+    *,
+    particles: int,
+    burn_in: int,
+    options: RunOptions,
+    settings: Mapping[str, SettingValue],
+    moves: Any = None,
+) -> Chains:
+    """Run emcee's ensemble moves on the pseudo-marginal target; every walker is returned as a chain.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    particles : int
+        Number of particles of each evidence estimate.
+    burn_in : int
+        Steps before those that are kept.
+    options : RunOptions
+        How the run is carried out; its chains are the walkers, at least 2 d.
+    settings : mapping of str to scalar
+        Every setting of the run; a checkpoint knows its run by them, and they become the result's.
+    moves : emcee moves, optional
+        emcee's StretchMove when left out.
+
+    Returns
+    -------
+    Chains
+
+    Raises
+    ------
+    SamplingError
+        When there are too few walkers, the ensemble cannot start, or the checkpoint does not fit.
+    """
+    if options.chains < 2 * bound.dimension:
+        raise SamplingError(
+            f"an ensemble needs at least twice as many walkers as parameters ({2 * bound.dimension}), but got "
+            f"{options.chains}; ask for more chains"
+        )
+    check_run_memory(bound, options.chains, particles, options)
+    target = PseudoMarginalTarget(bound, particles, options.seed)
+    state: State | None = None
+    with run_session(bound, settings, options.chains, options) as session:
+        backends = [
+            session.backend("burn-in", burn_in),
+            session.backend("draws", options.draws, keep_every=options.keep_every),
+        ]
+        if not any(backend.iteration for backend in backends):
+            session.stopwatch.deadline = session.stopwatch.limit
+            state = first_walkers(target, options.chains, options.seed, session.pool, session.stopwatch)
+        for name, backend, time_share in zip(("burn-in", "draws"), backends, (BURN_IN_SHARE, 1.0), strict=True):
+            if not backend.complete:
+                runner = StageRunner(session, bound, options.chains, target, moves, backend)
+                state = runner.advance(state, name, time_share)
+            elif name == "burn-in" and not backends[1].iteration:
+                state = backend.get_last_sample()
+    return collected(bound, backends, EstimateInfo._fields, {**settings, **options.attributes})

@@ -65,9 +65,8 @@ class ParticleGibbsMove(Move):  # type: ignore[misc]
         """Return (theta, log_prob, blob) of one walker after one step, given (number, theta, blob, seed)."""
         number, theta, blob, seed = walker
         transport = self.transports[number] if self.transports is not None else None
-        state = from_blob(theta, blob)
-        new = step(self.bound, self.settings, transport, self.transform, state, seed)
-        return new.theta, new.log_joint, into_blob(new, self.dtype)
+        state, info = step(self.bound, self.settings, transport, self.transform, from_blob(theta, blob), seed)
+        return state.theta, state.log_joint, into_blob(state, info, self.dtype)
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
         """Advance all walkers by one step.

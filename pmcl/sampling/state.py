@@ -1,4 +1,4 @@
-"""The state of a chain, and how it travels as an emcee blob."""
+"""What a chain carries from sweep to sweep, what a sweep reports, and how both travel as an emcee blob."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pmcl.engine.contract import state_size
 from pmcl.models.robot_model import BoundModel
 
-__all__ = ["ChainState", "blob_dtype", "from_blob", "into_blob", "state_dimension"]
+__all__ = ["ChainState", "SweepInfo", "blob_dtype", "from_blob", "into_blob", "mean_info", "state_dimension"]
 
 Float = NDArray[np.float64]
 
 
 class ChainState(NamedTuple):
-    """What the next sweep of one chain needs, and how the last one went.
+    """What the next sweep of one chain needs.
 
     Attributes
     ----------
@@ -32,15 +32,8 @@ class ChainState(NamedTuple):
         Log of the factor on the transport move's random walk.
     rows : int
         Rows of each log that are included (the paper's l); at the end of burn-in all of them.
-    accepted : ndarray, shape (d,)
-        Share of accepted Metropolis proposals of each parameter in the last step.
-    walked, jumped, refreshed : float
-        Shares of accepted transport moves, random walks and independent proposals, and of rows that the block move
-        redrew; NaN when there are none.
-    log_evidence, effective_size, changed : float
-        See :class:`pmcl.filtering.particle_filter.SweepInfo`; means over the sweeps of the last step and the logs.
-    dead : int
-        How many trajectory updates failed because every particle got weight zero, since the stage began.
+    failed_updates : int
+        How many trajectory updates failed because every particle had weight zero, since the stage began.
     """
 
     theta: Float
@@ -49,14 +42,46 @@ class ChainState(NamedTuple):
     log_step: Float
     log_scale: float
     rows: int
-    accepted: Float
-    walked: float
-    jumped: float
-    refreshed: float
+    failed_updates: int
+
+
+class SweepInfo(NamedTuple):
+    """How a sweep went; for several sweeps, the mean. The names are those of ArviZ's group ``sample_stats``.
+
+    Attributes
+    ----------
+    acceptance_rate : ndarray, shape (d,)
+        Share of accepted Metropolis proposals of each parameter.
+    transport_walk_acceptance_rate, transport_jump_rate : float
+        Shares of accepted transport moves, random walks and independent proposals; NaN when none was made.
+    path_block_redraw_rate : float
+        Share of rows that the block move redrew; NaN when there was no block move.
+    log_evidence : float
+        Estimate of log p(readings | theta) by the trajectory update's particles, summed over the logs [nat].
+    particle_ess : float
+        Mean effective sample size over rows with readings, as a share of the particles; mean over the logs.
+    path_update_rate : float
+        Share of states that the trajectory update changed; mean over the logs.
+    """
+
+    acceptance_rate: Float
+    transport_walk_acceptance_rate: float
+    transport_jump_rate: float
+    path_block_redraw_rate: float
     log_evidence: float
-    effective_size: float
-    changed: float
-    dead: int
+    particle_ess: float
+    path_update_rate: float
+
+
+_WHOLE_NUMBERS = ("rows", "failed_updates")
+
+
+def mean_info(infos: list[SweepInfo]) -> SweepInfo:
+    """Return the mean of each field over several sweeps."""
+    if len(infos) == 1:
+        return infos[0]
+    first, *others = (np.mean(values, axis=0) for values in zip(*infos, strict=True))
+    return SweepInfo(np.asarray(first), *(float(value) for value in others))
 
 
 def state_dimension(bound: BoundModel) -> int:
@@ -65,51 +90,45 @@ def state_dimension(bound: BoundModel) -> int:
 
 
 def blob_dtype(bound: BoundModel, size: int) -> np.dtype[Any]:
-    """Return the dtype of a blob: every field of :class:`ChainState` but theta, which emcee keeps itself."""
-    d = bound.dimension
+    """Return the dtype of a blob.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    size : int
+        Components D of a state.
+
+    Returns
+    -------
+    numpy.dtype
+        A field for each field of :class:`ChainState` but theta, which emcee keeps itself, and of :class:`SweepInfo`.
+        The path comes first, because backends that keep paths apart put them back there, and emcee assigns the fields
+        by position.
+    """
+    parameters = (bound.dimension,)
+    shapes = {"path": (sum(bound.lengths), size), "log_step": parameters, "acceptance_rate": parameters}
+    names = ["path", *(name for name in ChainState._fields if name not in ("theta", "path")), *SweepInfo._fields]
     return np.dtype(
-        [
-            # First, because backends that keep paths apart put them back there, and emcee assigns fields by position.
-            ("path", float, (sum(bound.lengths), size)),
-            ("log_joint", float),
-            ("log_step", float, (d,)),
-            ("log_scale", float),
-            ("rows", np.int64),
-            ("accepted", float, (d,)),
-            ("walked", float),
-            ("jumped", float),
-            ("refreshed", float),
-            ("log_evidence", float),
-            ("effective_size", float),
-            ("changed", float),
-            ("dead", np.int64),
-        ]
+        [(name, np.int64 if name in _WHOLE_NUMBERS else np.float64, shapes.get(name, ())) for name in names]
     )
 
 
-def into_blob(state: ChainState, dtype: np.dtype[Any]) -> Any:
-    """Return the state as one structured record."""
+def into_blob(state: ChainState, info: SweepInfo, dtype: np.dtype[Any]) -> Any:
+    """Return state and info as one structured record of a dtype that :func:`blob_dtype` made."""
     record = np.zeros((), dtype=dtype)
-    for name in dtype.names or ():
-        record[name] = getattr(state, name)
+    for part in (state, info):
+        for name in part._fields:
+            if name != "theta":
+                record[name] = getattr(part, name)
     return record
 
 
 def from_blob(theta: Float, blob: Any) -> ChainState:
     """Return the state that :func:`into_blob` made a record of; arrays are copies."""
-    return ChainState(
-        np.array(theta, dtype=float),
-        float(blob["log_joint"]),
-        np.array(blob["path"], dtype=float),
-        np.array(blob["log_step"], dtype=float),
-        float(blob["log_scale"]),
-        int(blob["rows"]),
-        np.array(blob["accepted"], dtype=float),
-        float(blob["walked"]),
-        float(blob["jumped"]),
-        float(blob["refreshed"]),
-        float(blob["log_evidence"]),
-        float(blob["effective_size"]),
-        float(blob["changed"]),
-        int(blob["dead"]),
-    )
+    values: dict[str, Any] = {
+        name: np.array(blob[name]) if np.ndim(blob[name]) else blob[name].item()
+        for name in ChainState._fields
+        if name != "theta"
+    }
+    return ChainState(theta=np.array(theta, dtype=float), **values)

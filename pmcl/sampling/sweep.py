@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.checks import check_choice, check_number, check_whole
 from pmcl.errors import FilterError, ModelError, SamplingError
-from pmcl.filtering.particle_filter import Kernel, SweepInfo, log_joint, make_rng, sweep_path
+from pmcl.filtering.particle_filter import Kernel, PathUpdate, log_joint, make_rng, update_path
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.metropolis import update_theta
-from pmcl.sampling.state import ChainState, state_dimension
+from pmcl.sampling.state import ChainState, SweepInfo, mean_info, state_dimension
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Transport, transport_moves
 
-__all__ = ["SweepSettings", "included", "start_chain", "step"]
+__all__ = ["ChainStart", "SweepSettings", "included", "start_chain", "step"]
 
 # Best acceptance of a Gaussian random walk in several dimensions (Roberts, Gelman, Gilks 1997).
 WALK_ACCEPTANCE = 0.234
@@ -30,12 +31,12 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """How a sweep is made.
+    """What a sweep consists of.
 
     Attributes
     ----------
     kernel : {"smoothing", "conditional"}
-        How trajectories are drawn, see :func:`pmcl.filtering.particle_filter.sweep_path`.
+        How trajectories are drawn, see :func:`pmcl.filtering.particle_filter.update_path`.
     particles : int
         Number of particles n.
     metropolis_steps : int
@@ -69,18 +70,32 @@ class SweepSettings:
 
 def included(bound: BoundModel, path: Float, rows: int) -> list[Float]:
     """Return views of the first `rows` states of each log's trajectory in the stacked `path` (sum of T_l, D)."""
-    views, begin = [], 0
+    paths, begin = [], 0
     for length in bound.lengths:
-        views.append(path[begin : begin + min(length, rows)])
+        paths.append(path[begin : begin + min(length, rows)])
         begin += length
-    return views
+    return paths
 
 
-def _joint(bound: BoundModel, theta: Float, tables: Sequence[Tables], paths: Sequence[Float]) -> float:
-    return bound.log_prior(theta) + math.fsum(log_joint(table, path) for table, path in zip(tables, paths, strict=True))
+class ChainStart(NamedTuple):
+    """How a chain begins.
+
+    Attributes
+    ----------
+    state : ChainState
+        The first state.
+    info : SweepInfo
+        How its trajectories were drawn.
+    impossible_draws : int
+        How many values of theta were drawn before that give the readings no probability.
+    """
+
+    state: ChainState
+    info: SweepInfo
+    impossible_draws: int
 
 
-def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts: int = 200) -> tuple[ChainState, int]:
+def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts: int = 200) -> ChainStart:
     """Start a chain as Table 1 does: theta from the prior, trajectories from a particle filter over the first rows.
 
     A theta under which every particle gets weight zero is impossible and is drawn again.
@@ -98,10 +113,7 @@ def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts:
 
     Returns
     -------
-    state : ChainState
-        The first state.
-    redrawn : int
-        How many impossible values of theta were drawn before.
+    ChainStart
 
     Raises
     ------
@@ -115,26 +127,23 @@ def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts:
         check_interrupt()
         theta = bound.draw_prior(rng)
         path = np.zeros((sum(bound.lengths), size))
-        views = included(bound, path, rows)
+        paths = included(bound, path, rows)
         try:
             bound.check(theta)
             tables = bound.tables(theta)
-            infos = [
-                sweep_path(table, view, len(view), settings.particles, rng, "smoothing")
-                for table, view in zip(tables, views, strict=True)
+            updates = [
+                update_path(table, log_path, len(log_path), settings.particles, rng, "smoothing")
+                for table, log_path in zip(tables, paths, strict=True)
             ]
         except (FilterError, ModelError):
             continue
-        value = _joint(bound, theta, tables, views)
-        if all(info.alive for info in infos) and math.isfinite(value):
-            zeros = np.zeros(bound.dimension)
+        value = _log_joint(bound, theta, tables, paths)
+        if all(update.succeeded for update in updates) and math.isfinite(value):
             log_step = np.log(np.maximum(0.2 * np.abs(theta), 1e-6))
-            evidence = math.fsum(info.log_evidence for info in infos)
-            effective = float(np.mean([info.effective_size for info in infos]))
             state = ChainState(
-                theta, value, path, log_step, 0.0, rows, zeros, *(math.nan,) * 3, evidence, effective, 1.0, 0
+                theta=theta, log_joint=value, path=path, log_step=log_step, log_scale=0.0, rows=rows, failed_updates=0
             )
-            return state, attempt
+            return ChainStart(state, _sweep_info(updates, np.zeros(bound.dimension)), attempt)
     raise SamplingError(
         f"no start in {attempts} draws from the prior gives the first {rows} rows a positive probability; "
         "widen the priors or the start belief, or use more particles"
@@ -148,11 +157,33 @@ def step(
     transform: Unconstrained,
     state: ChainState,
     seed: int,
-) -> ChainState:
+) -> tuple[ChainState, SweepInfo]:
     """Make ``settings.sweeps`` sweeps; a pure function of its arguments.
 
     Each sweep draws the trajectories given the current theta, then theta given the new trajectories, then moves both
     together.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    settings : SweepSettings
+        What a sweep consists of.
+    transport : Transport, optional
+        The linearisation for transport moves; without it there are none.
+    transform : Unconstrained
+        The map to unconstrained parameters.
+    state : ChainState
+        Where the chain is; it is not changed.
+    seed : int
+        All randomness follows from it.
+
+    Returns
+    -------
+    state : ChainState
+        Where the chain is afterwards.
+    info : SweepInfo
+        How the sweeps went.
 
     Raises
     ------
@@ -160,25 +191,15 @@ def step(
         When a density is not a number, or a transition has no density; the message holds the parameter values.
     """
     rng = make_rng(np.random.SeedSequence(seed))
+    infos, before = [], state
     try:
-        made = [_sweep(bound, settings, transport, transform, state, rng)]
-        for _ in range(settings.sweeps - 1):
-            made.append(_sweep(bound, settings, transport, transform, made[-1], rng))
+        for _ in range(settings.sweeps):
+            state, info = _sweep(bound, settings, transport, transform, state, rng)
+            infos.append(info)
     except FilterError as error:
-        values = ", ".join(f"{name}={value:.6g}" for name, value in zip(bound.names, state.theta, strict=True))
+        values = ", ".join(f"{name}={value:.6g}" for name, value in zip(bound.names, before.theta, strict=True))
         raise FilterError(f"{error} (parameters near {values})") from None
-    last = made[-1]
-    if len(made) == 1:
-        return last
-    return last._replace(
-        accepted=np.mean([one.accepted for one in made], axis=0),
-        walked=float(np.mean([one.walked for one in made])),
-        jumped=float(np.mean([one.jumped for one in made])),
-        refreshed=float(np.mean([one.refreshed for one in made])),
-        log_evidence=float(np.mean([one.log_evidence for one in made])),
-        effective_size=float(np.mean([one.effective_size for one in made])),
-        changed=float(np.mean([one.changed for one in made])),
-    )
+    return state, mean_info(infos)
 
 
 def _sweep(
@@ -188,49 +209,66 @@ def _sweep(
     transform: Unconstrained,
     state: ChainState,
     rng: np.random.Generator,
-) -> ChainState:
+) -> tuple[ChainState, SweepInfo]:
+    """Make one sweep; the parameters are those of :func:`step`."""
     check_interrupt()
-    everything = max(bound.lengths)
-    rows = min(everything, state.rows + settings.data_rate) if settings.data_rate else everything
+    all_rows = max(bound.lengths)
+    rows = min(all_rows, state.rows + settings.data_rate) if settings.data_rate else all_rows
     # New rows have no trajectory yet, so only the smoothing kernel can add them.
     kernel: Kernel = settings.kernel if rows == state.rows else "smoothing"
     path = state.path.copy()
     paths = included(bound, path, rows)
     tables = bound.tables(state.theta)
-    infos = [
-        sweep_path(table, view, len(view), settings.particles, rng, kernel)
-        for table, view in zip(tables, paths, strict=True)
+    updates = [
+        update_path(table, log_path, len(log_path), settings.particles, rng, kernel)
+        for table, log_path in zip(tables, paths, strict=True)
     ]
-    dead = state.dead
-    if not all(info.alive for info in infos):
+    failed_updates = state.failed_updates
+    if not all(update.succeeded for update in updates):
         # Every particle died in some log: keep the old trajectories and rows, count it, and let theta move on.
-        dead += 1
+        failed_updates += 1
         rows, path = state.rows, state.path.copy()
         paths = included(bound, path, rows)
     theta, log_step, accepted = update_theta(
         bound, state.theta, tables, paths, state.log_step, settings.metropolis_steps, settings.gain, rng
     )
     tables = bound.tables(theta)
-    value = walked = jumped = refreshed = math.nan
+    info, value = _sweep_info(updates, accepted), math.nan
     log_scale = state.log_scale
-    if transport is not None and settings.transport_moves > 0 and rows == everything:
-        theta, moved, value, walked, jumped, refreshed = transport_moves(
+    if transport is not None and settings.transport_moves > 0 and rows == all_rows:
+        moved = transport_moves(
             bound, theta, tables, paths, transport, transform, settings.transport_moves, math.exp(log_scale), rng
         )
+        theta, value = moved.theta, moved.log_joint
         if settings.gain > 0.0:
-            log_scale += 4.0 * settings.gain * (walked - WALK_ACCEPTANCE)
-        path = np.concatenate(moved)
-    if math.isnan(value):  # no move was made that would know it
-        value = _joint(bound, theta, tables, paths)
+            log_scale += 4.0 * settings.gain * (moved.walk_acceptance_rate - WALK_ACCEPTANCE)
+        path = np.concatenate(moved.paths)
+        info = info._replace(
+            transport_walk_acceptance_rate=moved.walk_acceptance_rate,
+            transport_jump_rate=moved.jump_rate,
+            path_block_redraw_rate=moved.redraw_rate,
+        )
+    if math.isnan(value):  # no move was made that evaluated it
+        value = _log_joint(bound, theta, tables, paths)
     new = ChainState(
-        theta, value, path, log_step, log_scale, rows, accepted, walked, jumped, refreshed, 0.0, 0.0, 0.0, dead
-    )
-    return _told(new, infos)
+        theta=theta, log_joint=value, path=path, log_step=log_step, log_scale=log_scale, rows=rows,
+        failed_updates=failed_updates,
+    )  # fmt: skip
+    return new, info
 
 
-def _told(state: ChainState, infos: Sequence[SweepInfo]) -> ChainState:
-    return state._replace(
-        log_evidence=math.fsum(info.log_evidence for info in infos),
-        effective_size=math.fsum(info.effective_size for info in infos) / len(infos),
-        changed=math.fsum(info.changed for info in infos) / len(infos),
+def _log_joint(bound: BoundModel, theta: Float, tables: Sequence[Tables], paths: Sequence[Float]) -> float:
+    return bound.log_prior(theta) + math.fsum(log_joint(table, path) for table, path in zip(tables, paths, strict=True))
+
+
+def _sweep_info(updates: Sequence[PathUpdate], acceptance_rate: Float) -> SweepInfo:
+    """Return the info of a sweep without transport moves, from the trajectory updates of its logs."""
+    return SweepInfo(
+        acceptance_rate=acceptance_rate,
+        transport_walk_acceptance_rate=math.nan,
+        transport_jump_rate=math.nan,
+        path_block_redraw_rate=math.nan,
+        log_evidence=math.fsum(update.log_evidence for update in updates),
+        particle_ess=math.fsum(update.effective_share for update in updates) / len(updates),
+        path_update_rate=math.fsum(update.changed_share for update in updates) / len(updates),
     )

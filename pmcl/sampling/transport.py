@@ -1,7 +1,7 @@
 """The Gaussian transport move: theta and trajectory change together, exactly.
 
-What limits a Gibbs sampler here is that theta and the path hold each other in place. Around a frozen reference the
-model is linear and Gaussian, and its path is x = m(theta) + L(theta) z with z standard normal
+A Gibbs sampler mixes slowly here because theta and the path depend strongly on each other. Around a frozen reference
+the model is linear and Gaussian, and its path is x = m(theta) + L(theta) z with z standard normal
 (:mod:`pmcl.filtering.kernels.linear`). A move proposes theta' and carries the path along with its z fixed; it is
 accepted with p(theta', x', data) |L(theta')| / (p(theta, x, data) |L(theta)|), x' = m(theta') + L(theta') z. This is
 a deterministic bijection, so the move leaves the exact, nonlinear posterior unchanged; how good the linearisation is
@@ -40,6 +40,8 @@ Float = NDArray[np.float64]
 
 # Degrees of freedom of the independent proposal: tails heavier than a posterior's are what makes it safe.
 _FREEDOM = 8.0
+# The two kinds of proposals.
+_WALK, _JUMP = 0, 1
 # Rows of a block of the path: short enough to be nearly Gaussian, long enough to forget its neighbours.
 _BLOCK = 24
 
@@ -74,18 +76,66 @@ class Proposal:
 
 
 class TransportResult(NamedTuple):
-    """State after some moves; shares of accepted walks and jumps (NaN: none made), and of the path's rows redrawn.
+    """The state after some transport moves, and how they went.
 
-    `log_joint` is log p(theta, trajectories, readings) of the new state; NaN where the linearised path had no
-    factorisation, so that nothing was moved.
+    Attributes
+    ----------
+    theta : ndarray, shape (d,)
+        Parameters.
+    paths : list of ndarray, shape (T_l, D)
+        Trajectories.
+    log_joint : float
+        log p(theta, trajectories, readings); NaN where the linearised path had no factorisation, so that nothing was
+        moved.
+    walk_acceptance_rate, jump_rate : float
+        Shares of accepted random walks and of accepted independent proposals; NaN when none was made.
+    redraw_rate : float
+        Share of the paths' rows that the block move redrew.
     """
 
     theta: Float
     paths: list[Float]
     log_joint: float
-    walked: float
-    jumped: float
-    refreshed: float
+    walk_acceptance_rate: float
+    jump_rate: float
+    redraw_rate: float
+
+
+class _Factorisation(NamedTuple):
+    """The Gaussian path of one log's linearised model, as :func:`pmcl.filtering.kernels.linear.factorise` returns it.
+
+    Attributes
+    ----------
+    log_determinant : float
+        Sum of the logs of the factors' diagonals; minus infinity when there is no factorisation.
+    factor, gain : ndarray, shape (T, D * D)
+        Flat matrices of each row: the Cholesky factor, and how the row depends on the next one.
+    centre : ndarray, shape (T, D)
+        Mean deviation of each row from the reference, given that the next row has none.
+    """
+
+    log_determinant: float
+    factor: Float
+    gain: Float
+    centre: Float
+
+
+class _Trial(NamedTuple):
+    """One log at a proposed theta, see :func:`pmcl.filtering.kernels.linear.transport_trial`.
+
+    Attributes
+    ----------
+    log_joint : float
+        log p(carried path, readings | proposed theta).
+    factorisation : _Factorisation
+        That of the linearised model at the proposed theta.
+    path : ndarray, shape (T, D)
+        The path carried along.
+    """
+
+    log_joint: float
+    factorisation: _Factorisation
+    path: Float
 
 
 @dataclass(frozen=True)
@@ -115,8 +165,8 @@ class Transport:
             return list(self.geometries)
         return [
             tuple(
-                sensor_of(table).moved_linearisation(table, made_from, geometry, reference)
-                for table, made_from, geometry in zip(tables.sensors, sensors, geometries, strict=True)
+                sensor_of(table).moved_linearisation(table, linearised, geometry, reference)
+                for table, linearised, geometry in zip(tables.sensors, sensors, geometries, strict=True)
             )
             for tables, sensors, geometries, reference in zip(
                 all_tables, self.sensors, self.geometries, self.references, strict=True
@@ -125,36 +175,61 @@ class Transport:
 
 
 def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal) -> Transport | None:
-    """Linearise the model at `theta` and one reference trajectory for each log.
+    """Linearise the model at some parameters and one reference trajectory for each log.
 
-    Returns None when some sensor offers no linearisation, or the linearised path has no factorisation: there is
-    then no transport move.
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    theta : ndarray, shape (d,)
+        Parameters.
+    references : sequence of ndarray, shape (T_l, D)
+        Reference trajectories.
+    proposal : Proposal
+        How theta' is proposed.
+
+    Returns
+    -------
+    Transport or None
+        None when some sensor offers no linearisation, or the linearised path has no factorisation: there is then no
+        transport move.
     """
     geometries = []
     all_tables = bound.tables(theta)
     for tables, reference in zip(all_tables, references, strict=True):
-        made = tuple(sensor_of(sensor).linearise(sensor, reference) for sensor in tables.sensors)
-        if any(geometry is None for geometry in made):
+        log_geometries = tuple(sensor_of(sensor).linearise(sensor, reference) for sensor in tables.sensors)
+        if any(geometry is None for geometry in log_geometries):
             return None
-        geometries.append(made)
+        geometries.append(log_geometries)
     transport = Transport(
         tuple(np.ascontiguousarray(r) for r in references),
         tuple(geometries),
         proposal,
         tuple(tables.sensors for tables in all_tables),
     )
-    made_there = _factorisations(all_tables, transport.geometries, transport.references)
-    return None if made_there is None else transport
+    factorisations = _factorisations(all_tables, transport.geometries, transport.references)
+    return None if factorisations is None else transport
 
 
 def _factorisations(
     all_tables: Sequence[Tables], geometries: Sequence[tuple[Any, ...]], references: Sequence[Float]
-) -> list[Any] | None:
-    made = [
-        factorise(tables, geometry, reference)
+) -> list[_Factorisation] | None:
+    """Return the factorisation of each log's linearised path; None when one of them has none."""
+    factorisations = [
+        _Factorisation(*factorise(tables, geometry, reference))
         for tables, geometry, reference in zip(all_tables, geometries, references, strict=True)
     ]
-    return made if all(math.isfinite(one[0]) for one in made) else None
+    return factorisations if all(math.isfinite(each.log_determinant) for each in factorisations) else None
+
+
+def _trial(
+    tables: Tables, geometry: tuple[Any, ...], reference: Float, path: Float, current: _Factorisation
+) -> _Trial:
+    """Carry one log's path to a proposed theta, of which `tables` and `geometry` are."""
+    log_joint, log_determinant, factor, gain, centre, carried = transport_trial(
+        tables, geometry, reference, path, current.factor, current.gain, current.centre
+    )
+    return _Trial(log_joint, _Factorisation(log_determinant, factor, gain, centre), carried)
 
 
 def transport_moves(
@@ -197,24 +272,24 @@ def transport_moves(
         Cost: O(T D^3) for each proposal.
     """
     geometries = transport.geometries_at(all_tables)
-    now = _factorisations(all_tables, geometries, transport.references)
-    if now is None:
+    factorisations = _factorisations(all_tables, geometries, transport.references)
+    if factorisations is None:
         return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)
-    paths, log_joint, refreshed = _redrawn(all_tables, geometries, transport.references, paths, rng)
+    paths, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport.references, paths, rng)
     log_joint += bound.log_prior(theta)
     proposal = transport.proposal
     u = transform.to_line(theta)
     _, log_jacobian = transform.from_line(u)
-    current = log_joint + log_jacobian - math.fsum(one[0] for one in now)
+    current = log_joint + log_jacobian - math.fsum(each.log_determinant for each in factorisations)
     normal = rng.standard_normal((n_moves, theta.size))
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
-    made, accepted = [0, 0], [0, 0]
+    proposed, accepted = [0, 0], [0, 0]
     for move in range(n_moves):
-        kind = move % 2 if proposal.centre is not None else 0
-        made[kind] += 1
+        kind = move % 2 if proposal.centre is not None else _WALK
+        proposed[kind] += 1
         log_forward = log_back = 0.0
-        if kind and proposal.centre is not None and proposal.spread is not None:
+        if kind == _JUMP and proposal.centre is not None and proposal.spread is not None:
             u_new = proposal.centre + stretch[move] * (proposal.spread @ normal[move])
             log_forward, log_back = proposal.log_density(u_new), proposal.log_density(u)
         else:
@@ -225,22 +300,29 @@ def transport_moves(
             continue
         tables_new = bound.tables(theta_new)
         trials = [
-            transport_trial(tables, geometry, reference, path, *one[1:4])
-            for tables, geometry, reference, path, one in zip(
-                tables_new, transport.geometries_at(tables_new), transport.references, paths, now, strict=True
+            _trial(*of_log)
+            for of_log in zip(
+                tables_new,
+                transport.geometries_at(tables_new),
+                transport.references,
+                paths,
+                factorisations,
+                strict=True,
             )
         ]
-        joint_new = prior + math.fsum(trial[0] for trial in trials)
+        joint_new = prior + math.fsum(trial.log_joint for trial in trials)
         if not joint_new > -math.inf:  # impossible there, or the linearised path has no factorisation
             continue
-        value = joint_new + log_jacobian - math.fsum(trial[1] for trial in trials)
+        value = joint_new + log_jacobian - math.fsum(trial.factorisation.log_determinant for trial in trials)
         if log_uniform[move] < value - current + log_back - log_forward:
             accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
-            paths = [trial[5] for trial in trials]
-            now = [trial[1:5] for trial in trials]
-    walked, jumped = (yes / all_made if all_made else math.nan for yes, all_made in zip(accepted, made, strict=True))
-    return TransportResult(theta, paths, log_joint, walked, jumped, refreshed)
+            paths = [trial.path for trial in trials]
+            factorisations = [trial.factorisation for trial in trials]
+    walk_rate, jump_rate = (
+        accepted[kind] / proposed[kind] if proposed[kind] else math.nan for kind in (_WALK, _JUMP)
+    )
+    return TransportResult(theta, paths, log_joint, walk_rate, jump_rate, redraw_rate)
 
 
 def _redrawn(

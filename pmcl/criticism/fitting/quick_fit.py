@@ -2,7 +2,7 @@
 
 It runs the same sweeps and transport moves as :mod:`pmcl.sampling`, without emcee, and may start from an earlier fit.
 The critic fits many models in this way; its final model is calibrated by several long chains
-(:func:`pmcl.posterior.calibrate.calibrate`).
+(:func:`pmcl.calibration.workflow.calibrate`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pmcl.errors import ModelError
 from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta
-from pmcl.filtering.particle_filter import make_rng, sweep_path
+from pmcl.filtering.particle_filter import make_rng, update_path
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.state import ChainState, state_dimension
@@ -159,7 +159,7 @@ def quick_fit(
     metropolis = 2 if bound.effects else 5
     if path is None:
         path = np.zeros((bound.lengths[0], state_dimension(bound)))
-        sweep_path(bound.tables(theta)[0], path, len(path), START_PARTICLES, rng, "smoothing")
+        update_path(bound.tables(theta)[0], path, len(path), START_PARTICLES, rng, "smoothing")
         settings, draws = SweepSettings("smoothing", 10 * particles, 2 * metropolis, 0, 1, 0, _GAIN), None
     else:
         if len(path) != bound.lengths[0]:
@@ -187,7 +187,7 @@ def quick_fit(
             transport = _tuned(bound, transform, thetas, reference, blind=number == 1 and draws is None)
         kept = []
         for _ in range(length):
-            state = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
+            state, _ = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
             kept.append(state)
     thetas, paths = np.array([state.theta for state in kept]), np.array([state.path for state in kept])
     return Fit(bound, thetas.mean(axis=0), thetas.std(axis=0), thetas, paths.mean(axis=0), paths.std(axis=0))
@@ -209,11 +209,11 @@ def _of_size(path: Float, size: int) -> Float:
 
 def _state(bound: BoundModel, theta: Float, path: Float, draws: Float | None) -> ChainState:
     """Return a first state; Metropolis steps are a fifth of each parameter, or the spread of earlier draws."""
-    d = theta.size
     log_step = np.log(np.maximum(0.2 * np.abs(theta) if draws is None else draws.std(axis=0), 1e-6))
     return ChainState(
-        theta.copy(), 0.0, path.copy(), log_step, 0.0, bound.lengths[0], np.zeros(d), *(math.nan,) * 3, 0.0, 0.0, 1.0, 0
-    )
+        theta=theta.copy(), log_joint=0.0, path=path.copy(), log_step=log_step, log_scale=0.0, rows=bound.lengths[0],
+        failed_updates=0,
+    )  # fmt: skip
 
 
 def _tuned(

@@ -1,0 +1,150 @@
+"""From logs to a posterior in one call, by any method."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from pmcl import defaults
+from pmcl.calibration.method import CalibrationMethod
+from pmcl.calibration.methods import as_method
+from pmcl.checks import check_flag, check_path, check_seed, check_type, check_whole
+from pmcl.errors import ModelError, SamplingError
+from pmcl.filtering.ahead import compile_for_calibration
+from pmcl.filtering.estimated_path import with_estimated_path
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.model_text import model_text
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model, log_sequence
+from pmcl.posterior.compat import Posterior
+from pmcl.posterior.convert import to_arviz
+from pmcl.posterior.predictive_check import checked
+from pmcl.preflight.check import checked_logs, require_rows
+from pmcl.sampling.options import RunOptions
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    logs: RobotLog | Sequence[RobotLog],
+    model: RobotModel | None = None,
+    *,
+    method: CalibrationMethod | str = "particle-gibbs",
+    draws: int = defaults.DRAWS,
+    chains: int = defaults.CHAINS,
+    trajectories: int = defaults.TRAJECTORIES,
+    seed: int = 0,
+    pool: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    progress: bool = False,
+    check: bool = True,
+) -> Posterior:
+    """Draw from the posterior of a robot's noise parameters, given what it logged.
+
+    Parameters
+    ----------
+    logs : RobotLog or sequence of RobotLog
+        One or several logs of the same robot: one theta, one trajectory for each.
+    model : RobotModel, optional
+        The default model of the first log when left out (:func:`pmcl.models.robot_model.default_model`).
+    method : CalibrationMethod or str
+        The method with its settings, such as ``ParticleGibbs(kernel="smoothing", particles=500)``, or the name of one
+        with its defaults: ``particle-gibbs`` (:class:`~pmcl.calibration.particle_gibbs.ParticleGibbs`) or ``ensemble``
+        (:class:`~pmcl.calibration.ensemble.Ensemble`).
+    draws, chains : int
+        Draws per chain after burn-in, number of chains. The ensemble takes more chains when it needs more.
+    trajectories : int
+        Trajectories per chain that are kept.
+    seed : int
+        The result is a function of it, whatever the pool.
+    pool : object with a `map` method, optional
+        Runs the chains of each step: threads on all cores when left out; processes, MPI or Dask pools work too.
+    checkpoint : path, optional
+        HDF5 file to which the run is written every few seconds, and when an error or Ctrl-C ends it. It stays when
+        the run is done.
+    resume : bool
+        Continue the checkpoint, if it is there; the result is identical to that of an uninterrupted run.
+    progress : bool
+        Show progress bars.
+    check : bool
+        Whether to end with a check of the calibrated model on its own logs, which takes seconds, and to keep its
+        predictions; without it the verdict is about convergence only.
+
+    Returns
+    -------
+    arviz.InferenceData or xarray.DataTree
+        Depending on the version of ArviZ: groups as in the file format. Whether the chains have converged, and whether
+        the model fits the logs, says :func:`pmcl.posterior.diagnostics.verdict`.
+
+    Raises
+    ------
+    PmclError
+        When logs, model and settings do not fit each other, or no chain can start.
+    KeyboardInterrupt
+        After the current sweep when Ctrl-C was pressed, at once when it was pressed twice. With a checkpoint nothing
+        is lost: the same call with `resume` goes on.
+
+    References
+    ----------
+    Kaboli, Bowling, Musilek, Bayesian Calibration for Monte Carlo Localization, AAAI 2006.
+    """
+    logs = log_sequence(logs)
+    method = as_method(method)
+    options = _options(draws, chains, trajectories, seed, pool, checkpoint, resume, progress)
+    check = check_flag("check", check, error=SamplingError)
+    if model is not None:
+        check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
+    for log in logs:
+        require_rows(log)
+    model = default_model(logs[0]) if model is None else model
+    logs = tuple(with_estimated_path(log, model, seed=options.seed) for log in logs)
+    bound = model.bind(logs)
+    if bound.dimension == 0:
+        raise SamplingError("expected at least one free parameter, but the model fixes all of them; free one")
+    compile_for_calibration(bound.tables(bound.prior_mean())[0])
+    # Plausible mistakes in the logs are warned of before sampling, and stay with the result.
+    attributes = {"model": _model_text(bound), "preflight": checked_logs(bound.logs, model)}
+    options = dataclasses.replace(options, attributes=attributes)
+    data = to_arviz(method.run(bound, options), bound.parameters, bound.logs)
+    return checked(data, bound, options.seed) if check else data
+
+
+def _options(
+    draws: int,
+    chains: int,
+    trajectories: int,
+    seed: int,
+    pool: Any,
+    checkpoint: str | os.PathLike[str] | None,
+    resume: bool,
+    progress: bool,
+) -> RunOptions:
+    """Check the arguments of :func:`calibrate` that are the same for all methods."""
+    for name, number in (("draws", draws), ("chains", chains), ("trajectories", trajectories)):
+        check_whole(name, number, 1, error=SamplingError)
+    for name, flag in (("resume", resume), ("progress", progress)):
+        check_flag(name, flag, error=SamplingError)
+    if pool is not None and not callable(getattr(pool, "map", None)):
+        raise SamplingError(f"expected pool with a method map, but got {type(pool).__name__}; leave it out for threads")
+    if checkpoint is not None:
+        check_path("checkpoint", checkpoint, error=SamplingError)
+    return RunOptions(
+        draws=draws,
+        chains=chains,
+        seed=check_seed(seed, error=SamplingError),
+        trajectories=trajectories,
+        pool=pool,
+        checkpoint=os.fspath(checkpoint) if checkpoint is not None else None,
+        resume=resume,
+        progress=progress,
+    )
+
+
+def _model_text(bound: BoundModel) -> str:
+    """Return the model as a model file, so that a posterior can be used without one; empty for a user's own parts."""
+    try:
+        return model_text(bound.model, bound.logs[0])
+    except ModelError:
+        return ""
