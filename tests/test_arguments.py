@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import pmcl
+from pmcl.calibration import Ensemble
 from pmcl.comparison.compare import compare
-from pmcl.comparison.methods import Method
 from pmcl.errors import PmclError
 from pmcl.localization.online import OnlineLocalizer
 from pmcl.localization.options import FilterOptions
@@ -120,12 +120,17 @@ def short_log():
 
 CALIBRATE = {
     "logs": nothing, "model": none, "method": one_of("particle-gibbs", "ensemble"),
-    "kernel": one_of("conditional", "smoothing"), "particles": optional(whole(2, FEW)), "draws": whole(1, FEW),
-    "chains": whole(1, FEW), "metropolis_steps": whole(1), "data_rate": optional(whole(1)), "transport": optional(flag),
-    "burn_in_particles": whole(2, FEW), "sweeps_per_draw": whole(1), "trajectories": whole(1), "seed": seed,
+    "draws": whole(1, FEW), "chains": whole(1, FEW), "trajectories": whole(1), "seed": seed,
     "pool": none, "checkpoint": optional(lambda value: isinstance(value, Path) or value in ("x", "25")),
-    "resume": flag, "progress": flag,
+    "resume": flag, "progress": flag, "check": flag,
 }  # fmt: skip
+PARTICLE_GIBBS = {
+    "kernel": one_of("conditional", "smoothing"), "particles": optional(whole(2)), "metropolis_steps": whole(1),
+    "transport_moves": optional(whole(0)), "data_rate": optional(whole(1)), "burn_in_particles": whole(2),
+    "settling_sweeps": whole(1), "sweeps_per_draw": whole(1),
+    "tuning_sweeps": lambda value: isinstance(value, tuple) and not value,
+}  # fmt: skip
+ENSEMBLE = {"particles": whole(2), "burn_in": optional(whole(1))}
 CRITICIZE = {
     "log": nothing, "model": none, "effects": optional(lambda value: isinstance(value, list | tuple) and not value),
     "particles": whole(50, FEW), "seed": seed, "level": real(0.0, 0.5, open_low=True, open_high=True),
@@ -167,7 +172,6 @@ MODEL = {
     "priors": lambda value: isinstance(value, dict) and not value,
     "fixed": lambda value: isinstance(value, dict) and not value,
 }  # fmt: skip
-METHOD = {"name": nothing, "particles": whole(2)}
 SELECT = {"start": whole(0, 59), "stop": whole(1, 60)}
 
 
@@ -187,7 +191,8 @@ def functions(log, short_log):
         OnlineLocalizer=(OnlineLocalizer, {"robot": log, "method": "prior"}, ONLINE),
         FilterOptions=(FilterOptions, {}, OPTIONS),
         compare=(compare, {"log": log, "methods": "plain"}, COMPARE),
-        Method=(Method, {"name": "plain", "particles": 5}, METHOD),
+        ParticleGibbs=(pmcl.ParticleGibbs, {}, PARTICLE_GIBBS),
+        Ensemble=(Ensemble, {}, ENSEMBLE),
         simulate_amigobot=(pmcl.simulate_amigobot, {"duration": 4.0}, SIMULATE | {"waypoints": none, "room": none}),
         simulate_aibo=(
             pmcl.simulate_aibo, {"duration": 4.0}, SIMULATE | {"theta": lambda value: value in (None, {})},
@@ -209,29 +214,22 @@ def functions(log, short_log):
 
 
 NAMES = (
-    "calibrate", "criticize", "localize", "localize_many", "OnlineLocalizer", "FilterOptions", "compare", "Method",
-    "simulate_amigobot", "simulate_aibo", "ParticleGibbsMove", "Parameter", "RobotModel", "default_model", "select",
-    "read_log", "read_posterior", "verdict", "WallMap", "LandmarkMap",
+    "calibrate", "criticize", "localize", "localize_many", "OnlineLocalizer", "FilterOptions", "compare",
+    "ParticleGibbs", "Ensemble", "simulate_amigobot", "simulate_aibo", "ParticleGibbsMove", "Parameter", "RobotModel",
+    "default_model", "select", "read_log", "read_posterior", "verdict", "WallMap", "LandmarkMap",
 )  # fmt: skip
 
 
 @pytest.fixture
 def no_work(monkeypatch):
     """Replace what functions do after their checks."""
-    monkeypatch.setattr("pmcl.posterior.calibrate.run_particle_gibbs", _after_memory)
-    monkeypatch.setattr("pmcl.posterior.calibrate.run_ensemble", reach)
+    monkeypatch.setattr("pmcl.sampling.particle_gibbs.run_session", reach)
+    monkeypatch.setattr("pmcl.sampling.ensemble.run_session", reach)
     monkeypatch.setattr("pmcl.criticism.workflow.Search", reach)
     monkeypatch.setattr("pmcl.localization.setup.Tracker", reach)
     monkeypatch.setattr("pmcl.comparison.compare._compile", reach)
     monkeypatch.setattr("pmcl.simulations.amigobot.drive", reach)
     monkeypatch.setattr("pmcl.simulations.aibo.drive", reach)
-
-
-def _after_memory(bound, plan, n_chains, seed, **rest):
-    from pmcl.sampling.run import _check_memory
-
-    _check_memory(bound, n_chains, plan.draws, plan.trajectories, max(plan.particles, plan.burn_in_particles))
-    raise Reached
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -50,13 +50,13 @@ def chains(log_seed: int, m: int, r: int, settings: dict) -> dict[str, np.ndarra
     shared = {"kernel": "smoothing", "particles": settings["particles"], "metropolis_steps": m, "transport_moves": 0}
     seeds = np.random.SeedSequence([log_seed, m, r]).generate_state(settings["chains"] + 1)
     starting = SweepSettings(**shared, data_rate=r)
-    first = [start_chain(bound, starting, int(seed))[0] for seed in seeds[:-1]]
+    first = [start_chain(bound, starting, int(seed)) for seed in seeds[:-1]]
     adapting = ParticleGibbsMove(bound, **shared, data_rate=r, gain=GAIN)
     frozen = ParticleGibbsMove(bound, **shared)
     state = State(
-        np.array([one.theta for one in first]),
-        log_prob=np.array([one.log_joint for one in first]),
-        blobs=np.array([into_blob(one, adapting.dtype) for one in first], dtype=adapting.dtype),
+        np.array([start.state.theta for start in first]),
+        log_prob=np.array([start.state.log_joint for start in first]),
+        blobs=np.array([into_blob(start.state, start.info, adapting.dtype) for start in first], dtype=adapting.dtype),
         random_state=np.random.RandomState(int(seeds[-1])).get_state(),
     )
     including = -(-settings["rows"] // r) - 1 + ADAPTING

@@ -157,8 +157,8 @@ def calibrate(robot: str, calibration: int, path: Path, sizes: Sizes) -> None:
     data = pmcl.calibrate(
         log,
         model,
+        method=pmcl.ParticleGibbs(burn_in_particles=sizes.burn_in_particles),
         draws=sizes.draws,
-        burn_in_particles=sizes.burn_in_particles,
         seed=SAMPLING_SEED + calibration,
         trajectories=1,
         check=False,

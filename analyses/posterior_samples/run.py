@@ -51,11 +51,13 @@ def calibrate(robot: str, seconds: int, kernel: str, particles: int, draws: int)
     # The start is known, so that few particles are enough for burn-in.
     data = pmcl.calibrate(
         log,
-        kernel=kernel,
-        particles=particles,
+        method=pmcl.ParticleGibbs(
+            kernel=kernel,
+            particles=particles,
+            sweeps_per_draw=1 if kernel == "smoothing" else 2,
+            burn_in_particles=200,
+        ),
         draws=draws,
-        sweeps_per_draw=1 if kernel == "smoothing" else 2,
-        burn_in_particles=200,
         seed=SEED + 1,
         check=False,
     )

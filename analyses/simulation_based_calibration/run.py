@@ -21,13 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pmcl.calibration import ParticleGibbs, RunOptions
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import gamma_prior
 from pmcl.models.robot_model import default_model
 from pmcl.models.sensor import sensor_of
 from pmcl.posterior.compat import bulk_ess
-from pmcl.sampling.run import run_particle_gibbs
-from pmcl.sampling.stages import Plan
 from pmcl.simulations.simulate import make_rng, simulate_path
 
 ROWS = 40
@@ -75,19 +74,18 @@ def replicate(number: int, kernel: str, particles: int) -> dict[str, float | int
     path = simulate_path(tables.motion, tables.start, rng)
     table = sensor_of(tables.sensors[0]).simulate(tables.sensors[0], path, rng)
     bound = model.bind(log_with({"range": table.range.reshape(shape), "bearing": table.bearing.reshape(shape)}))
-    plan = Plan(
+    method = ParticleGibbs(
         kernel=kernel,
         particles=particles,
         transport_moves=TRANSPORT_MOVES[kernel],
         burn_in_particles=200,
         data_rate=8,
-        tuning=(20, 30, 40),
-        draws=SKIPPED + RANKED,
+        tuning_sweeps=(20, 30, 40),
         sweeps_per_draw=SWEEPS_PER_DRAW[kernel],
-        trajectories=1,
     )
+    options = RunOptions(draws=SKIPPED + RANKED, chains=1, seed=int(sampling), trajectories=1)
     begin = time.perf_counter()
-    draws = run_particle_gibbs(bound, plan, 1, int(sampling)).theta[0, SKIPPED:]
+    draws = method.run(bound, options).theta[0, SKIPPED:]
     row: dict[str, float | int | str] = {
         "kernel": kernel,
         "particles": particles,

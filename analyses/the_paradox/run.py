@@ -20,12 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pmcl.calibration import ParticleGibbs, RunOptions
 from pmcl.localization.many import localize_many
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.compat import bulk_ess, r_hat
-from pmcl.sampling.run import run_particle_gibbs
-from pmcl.sampling.stages import Plan
 from pmcl.simulations.amigobot import simulate_amigobot
 
 MOTION = {
@@ -74,21 +73,18 @@ def append(path: Path, row: dict[str, object]) -> None:
         writer.writerow(row)
 
 
-def plan_for(kernel: str, particles: int, settings: dict) -> Plan:
-    """Return the stages of a run: the paper's sampler, or the exact one with transport moves."""
+def method_for(kernel: str, particles: int, settings: dict) -> ParticleGibbs:
+    """Return the paper's sampler, or the exact one with transport moves."""
     exact = kernel == "conditional"
-    return Plan(
+    return ParticleGibbs(
         kernel=kernel,
         particles=particles,
         metropolis_steps=10,
-        transport_moves=Plan.transport_moves if exact else 0,
         burn_in_particles=300 if exact else particles,
         data_rate=max(settings["rows"] // 25, 1),
-        settle=10,
-        tuning=(40, 60, 80) if exact else (30, 30),
-        draws=settings["draws"],
+        settling_sweeps=10,
+        tuning_sweeps=(40, 60, 80) if exact else (30, 30),
         sweeps_per_draw=2 if exact else 1,
-        trajectories=1,
     )
 
 
@@ -105,12 +101,17 @@ def calibrate(folder: Path, settings: dict) -> None:
                 if key in done:
                     continue
                 begin = time.process_time()
-                plan = plan_for(kernel, n, settings)
-                made = run_particle_gibbs(bound, plan, 4 if kernel == "conditional" else 2, SAMPLING_SEED + log_number)
+                options = RunOptions(
+                    draws=settings["draws"],
+                    chains=4 if kernel == "conditional" else 2,
+                    seed=SAMPLING_SEED + log_number,
+                    trajectories=1,
+                )
+                chains = method_for(kernel, n, settings).run(bound, options)
                 row: dict[str, object] = dict(zip(keys, key, strict=True))
                 row["cpu_seconds"] = f"{time.process_time() - begin:.1f}"
                 for k, name in enumerate(bound.names):
-                    draws = np.ascontiguousarray(made.theta[..., k])
+                    draws = np.ascontiguousarray(chains.theta[..., k])
                     row |= {f"{name}_mean": f"{draws.mean():.6g}", f"{name}_sd": f"{draws.std():.6g}"}
                     row |= {f"{name}_r_hat": f"{r_hat(draws):.3f}", f"{name}_ess": f"{bulk_ess(draws):.0f}"}
                 append(path, row)

@@ -18,6 +18,7 @@ from pmcl.errors import PosteriorError
 from pmcl.posterior.access import log_joint, parameter_names, parameter_units, theta_draws, true_theta
 from pmcl.posterior.adequacy import adequacy
 from pmcl.posterior.compat import Posterior, bulk_ess, find_group, mcse_of_mean, r_hat, tail_ess
+from pmcl.posterior.settings import settings
 
 __all__ = ["ESS_LIMIT", "R_HAT_LIMIT", "Verdict", "lost_chains", "summarize", "verdict"]
 
@@ -39,6 +40,8 @@ _ACCEPTANCE_LIMITS = (0.1, 0.8)
 # Beyond this R-hat the chains are at different places, and no number of draws can be extrapolated.
 _R_HAT_APART = 1.2
 
+_POINT_ESTIMATE = "The method gives one estimate, without chains whose convergence could be judged."
+
 # R-hat and ESS are defined from here on.
 _LEAST_DRAWS = 4
 
@@ -49,7 +52,7 @@ class Verdict(NamedTuple):
     Attributes
     ----------
     converged : bool
-        Whether the draws are those of the model's posterior.
+        Whether the draws are those of the model's posterior; True for a point estimate, which has no chains.
     adequate : bool or None
         Whether the calibrated model foresees its own log as well as it claims; None when that was not checked, as in
         files of older versions.
@@ -177,12 +180,15 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
             f"expected the summary of this posterior ({', '.join(names)}), got one of "
             f"{', '.join(map(str, table['parameter'].values))}: call summarize on the same data"
         )
+    fit = adequacy(data)
+    if settings(data).get("point_estimate") is True:
+        sentence = f" {fit.sentence[:1].upper()}{fit.sentence[1:]}." if fit.adequate is not None else ""
+        return Verdict(True, fit.adequate, f"{_POINT_ESTIMATE}{sentence}", fit.advice)
     densities = log_joint(data)
     lost = lost_chains(densities) if densities is not None else {}
     short = _shortfalls(table)
     advice = (*_advice_on_chains(table, lost), *_advice_on_draws(table, short, lost), *_advice_on_moves(data))
     converged = not lost and not short
-    fit = adequacy(data)
     if converged:
         least = float(min(table["ess_bulk"].min(), table["ess_tail"].min()))
         message = (

@@ -6,13 +6,13 @@ import time
 
 import pytest
 
+from pmcl.calibration import ParticleGibbs
 from pmcl.logs.barfoot import read_barfoot
 from pmcl.logs.mrclam import read_mrclam
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.diagnostics import summarize
-from pmcl.sampling.run import run_particle_gibbs
-from pmcl.sampling.stages import Plan
+from pmcl.sampling.options import RunOptions
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
@@ -29,9 +29,9 @@ def measure(log, draws: int, **changes) -> dict[str, float]:
     bound = default_model(log).bind(log)
     spent = {}
     for n in (2, draws):
-        plan = Plan(data_rate=-(-log.n_steps // 50), draws=n, trajectories=2, **changes)
+        method, options = ParticleGibbs(**changes), RunOptions(draws=n, trajectories=2, seed=1, pool=Serial())
         began = time.process_time()
-        chains = run_particle_gibbs(bound, plan, 4, 1, pool=Serial())
+        chains = method.run(bound, options)
         spent[n] = time.process_time() - began
     summary = summarize(to_arviz(chains, bound.parameters, bound.logs))
     worst = float(summary["ess_bulk"].min())

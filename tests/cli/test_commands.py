@@ -98,7 +98,7 @@ def test_print_model_gives_the_model_that_is_used(run, log, log_file, tmp_path):
 def test_calibrate_writes_a_posterior_and_says_that_it_has_not_converged(run, log_file, tmp_path):
     output = tmp_path / "posterior.nc"
     output.write_bytes(b"older")
-    result = run("calibrate", log_file, "-o", output, *SHORT, "--seed", "7", "--no-transport")
+    result = run("calibrate", log_file, "-o", output, *SHORT, "--seed", "7", "--transport-moves", "0")
     assert result.exit_code == 3, result.output
     assert "Not converged" in result.stdout
     assert f"posterior: {output}" in result.stdout
@@ -163,7 +163,7 @@ def test_a_resumed_run_is_the_run(run, log_file, tmp_path):
 
 
 def test_a_run_that_fails_leaves_no_checkpoint(run, log_file, tmp_path, monkeypatch):
-    import pmcl.sampling.run as sampling
+    import pmcl.sampling.particle_gibbs as sampling
     from pmcl.errors import SamplingError
 
     def fail(*arguments, **settings):
@@ -177,7 +177,7 @@ def test_a_run_that_fails_leaves_no_checkpoint(run, log_file, tmp_path, monkeypa
 
 
 def test_an_interrupted_run_says_how_to_go_on(run, log_file, tmp_path, monkeypatch):
-    import pmcl.sampling.run as sampling
+    import pmcl.sampling.particle_gibbs as sampling
 
     def interrupt(*arguments, **settings):
         raise KeyboardInterrupt
@@ -190,7 +190,7 @@ def test_an_interrupted_run_says_how_to_go_on(run, log_file, tmp_path, monkeypat
 
 def test_an_interrupted_run_is_gone_on_with(run, log_file, tmp_path, monkeypatch):
     """Ctrl-C among the draws; then the same command with --resume, which leaves nothing but the posterior."""
-    import pmcl.sampling.run as sampling
+    import pmcl.sampling.particle_gibbs as sampling
 
     whole, output = tmp_path / "whole.nc", tmp_path / "p.nc"
     assert run("calibrate", log_file, "-o", whole, *SHORT).exit_code == 3

@@ -11,7 +11,7 @@ import pytest
 
 from pmcl.comparison.compare import Comparison, Failure, MethodResult, compare
 from pmcl.comparison.curves import learning_curve, reference_of
-from pmcl.comparison.methods import Method, parse_methods
+from pmcl.comparison.methods import parse_methods
 from pmcl.reports.comparison_report import comparison_table, comparison_text, comparison_verdict, write_comparison
 from pmcl.simulations.amigobot import simulate_amigobot
 
@@ -39,7 +39,8 @@ def comparison(rng):
     ]
     return Comparison(
         log="a robot", names=("sigma_a", "sigma_b"), units=("m", "rad"), truth=TRUTH, reference=reference,
-        reference_method=Method("conditional", 50), reference_seconds=20.0, results=tuple(results), seconds=10.0,
+        reference_method=parse_methods("conditional:50")[0], reference_seconds=20.0,
+        results=tuple(results), seconds=10.0,
         chains=4, seed=3,
     )  # fmt: skip
 
@@ -80,7 +81,7 @@ def test_a_reference_that_has_not_converged_spoils_the_verdict(comparison):
 
 
 def test_a_method_without_draws_is_told_of(comparison, tmp_path):
-    poor = replace(comparison, failures=(Failure(Method("ensemble", 200), "the time was over"),))
+    poor = replace(comparison, failures=(Failure(parse_methods("ensemble:200")[0], "the time was over"),))
     assert "ensemble:200 made no draw: the time was over." in comparison_verdict(poor).advice
     assert "1 of 4 methods" in comparison_verdict(poor).message
     assert comparison_table(poor).rows[-1].cells[:3] == ("ensemble:200", "none", "-")

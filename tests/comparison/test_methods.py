@@ -10,23 +10,27 @@ import pytest
 from oracles.random_walk_model import rail_log, rail_model
 
 import pmcl.sampling as sampling
+from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.comparison.compare import compare
 from pmcl.comparison.curves import Reference, learning_curve, reference_of
-from pmcl.comparison.methods import METHODS, Method, parse_methods
+from pmcl.comparison.methods import parse_methods
 from pmcl.errors import SamplingError
-from pmcl.sampling.run import run_ensemble, run_particle_gibbs
-from pmcl.sampling.stages import Plan, hurried_rate
+from pmcl.sampling.options import RunOptions
+from pmcl.sampling.stages import hurried_rate
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.simulations.amigobot import simulate_amigobot
 
 
 def test_names_with_and_without_particles():
-    assert parse_methods("conditional:25, smoothing,ensemble:50") == (
-        Method("conditional", 25),
-        Method("smoothing", METHODS["smoothing"][0]),
-        Method("ensemble", 50),
-    )
-    assert parse_methods("particle-gibbs:30") == (Method("conditional", 30),)
+    parsed = parse_methods("conditional:20, smoothing,ensemble:50")
+    assert [compared.method for compared in parsed] == [
+        ParticleGibbs(particles=20, sweeps_per_draw=1),
+        ParticleGibbs(kernel="smoothing", particles=500, sweeps_per_draw=1),
+        Ensemble(particles=50),
+    ]
+    assert [str(compared) for compared in parsed] == ["conditional:20", "smoothing:500", "ensemble:50"]
+    (exact,), (other,) = parse_methods("particle-gibbs:30"), parse_methods("conditional:30")
+    assert exact.method == other.method
     assert [str(method) for method in parse_methods("plain,plain:7")] == ["plain:25", "plain:7"]
 
 
@@ -41,7 +45,7 @@ def test_names_with_and_without_particles():
         ("smoothing:many", "but got 'many'"),
         ("smoothing:1", "at least 2"),
         ("smoothing:-5", "but got '-5'"),
-        ("conditional:25,particle-gibbs", "conditional:25 twice"),
+        ("conditional:25,particle-gibbs", "conditional:25 and particle-gibbs:25"),
     ],
 )
 def test_methods_that_cannot_be_read(text, message):
@@ -66,7 +70,9 @@ def test_impossible_comparisons(settings, message):
 
 
 # Small, but with all stages: 8 steps of inclusion, 6 and 8 of tuning, 40 draws.
-PLAN = Plan(particles=8, burn_in_particles=40, data_rate=3, settle=4, tuning=(6, 8), draws=40, trajectories=1)
+SHORT = ParticleGibbs(particles=8, burn_in_particles=40, data_rate=3, settling_sweeps=4, tuning_sweeps=(6, 8))
+OPTIONS = RunOptions(draws=40, chains=2, seed=5, trajectories=1)
+ENDLESS = replace(OPTIONS, draws=10**9)
 
 
 class SimulatedTime:
@@ -77,9 +83,9 @@ class SimulatedTime:
         move, ensemble = sampling.move.step, sampling.ensemble.PseudoMarginalTarget.__call__
 
         def step(bound, settings, transport, transform, state, seed):
-            new = move(bound, settings, transport, transform, state, seed)
+            new, info = move(bound, settings, transport, transform, state, seed)
             self.advance(seconds * settings.sweeps * settings.particles * new.rows)
-            return new
+            return new, info
 
         def target(this, theta):
             self.advance(seconds * this.particles * max(this.bound.lengths))
@@ -103,13 +109,13 @@ def rail():
 
 @pytest.fixture(scope="module")
 def whole(rail):
-    return run_particle_gibbs(rail, PLAN, 2, 5)
+    return SHORT.run(rail, OPTIONS)
 
 
 def test_a_run_with_time_enough_is_the_whole_run(rail, whole, monkeypatch):
     told: list[float] = []
     clock = Stopwatch(1e6, told.append, SimulatedTime(monkeypatch, 0.001))
-    made = run_particle_gibbs(rail, PLAN, 2, 5, stopwatch=clock)
+    made = SHORT.run(rail, replace(OPTIONS, stopwatch=clock))
     np.testing.assert_array_equal(made.theta, whole.theta)
     np.testing.assert_array_equal(made.warmup_theta, whole.warmup_theta)
     assert len(clock.wall) == len(clock.cpu) == 8 + 6 + 8 + 40
@@ -120,7 +126,7 @@ def test_a_run_with_time_enough_is_the_whole_run(rail, whole, monkeypatch):
 def test_a_stopped_run_is_the_beginning_of_the_whole(rail, whole, monkeypatch):
     """When burn-in takes less than its share, only the draws are cut."""
     clock = Stopwatch(60.0, clock=SimulatedTime(monkeypatch, 0.001))
-    stopped = run_particle_gibbs(rail, replace(PLAN, draws=10**9), 2, 5, stopwatch=clock)
+    stopped = SHORT.run(rail, replace(ENDLESS, stopwatch=clock))
     clock.stop()
     np.testing.assert_array_equal(stopped.warmup_theta, whole.warmup_theta)
     assert 40 < stopped.n_draws == stopped.settings["draws"] < 200
@@ -132,7 +138,7 @@ def test_a_stopped_run_is_the_beginning_of_the_whole(rail, whole, monkeypatch):
 @pytest.mark.parametrize("seconds", [24.0, 12.0, 6.0])
 def test_burn_in_takes_at_most_half_of_the_time(rail, seconds, monkeypatch):
     clock = Stopwatch(seconds, clock=SimulatedTime(monkeypatch, 0.001))
-    made = run_particle_gibbs(rail, replace(PLAN, draws=10**9), 2, 5, stopwatch=clock)
+    made = SHORT.run(rail, replace(ENDLESS, stopwatch=clock))
     clock.stop()
     assert clock.seconds == pytest.approx(seconds, rel=0.1)
     assert clock.wall[-made.n_draws - 1] <= 0.6 * seconds
@@ -143,13 +149,15 @@ def test_burn_in_takes_at_most_half_of_the_time(rail, seconds, monkeypatch):
 def test_time_for_nothing_is_said_to_be_too_short(rail, monkeypatch):
     clock = Stopwatch(1.0, clock=SimulatedTime(monkeypatch, 0.01))
     with pytest.raises(SamplingError, match="the time was over before the first draw; give more time"):
-        run_particle_gibbs(rail, PLAN, 2, 5, stopwatch=clock)
+        SHORT.run(rail, replace(OPTIONS, stopwatch=clock))
 
 
 @pytest.mark.parametrize("seconds", [30.0, 6.0])
 def test_an_ensemble_keeps_its_time_too(rail, seconds, monkeypatch):
     clock = Stopwatch(seconds, clock=SimulatedTime(monkeypatch, 0.001))
-    made = run_ensemble(rail, particles=8, n_walkers=6, draws=10**6, burn_in=50, seed=3, stopwatch=clock)
+    made = Ensemble(particles=8, burn_in=50).run(
+        rail, RunOptions(draws=10**6, chains=6, seed=3, stopwatch=clock)
+    )
     clock.stop()
     assert clock.seconds == pytest.approx(seconds, rel=0.05)
     assert clock.wall[-made.n_draws - 1] <= 0.6 * seconds

@@ -17,7 +17,10 @@ import pmcl
 README = Path(__file__).resolve().parents[2] / "README.md"
 
 SHORTER = (
-    ("pmcl.calibrate(log", "pmcl.calibrate(log, draws=20, chains=2, burn_in_particles=100, seed=1"),
+    (
+        "pmcl.calibrate(log",
+        "pmcl.calibrate(log, method=pmcl.ParticleGibbs(burn_in_particles=100), draws=20, chains=2, seed=1",
+    ),
     ("pmcl calibrate robot1.nc --model", "pmcl calibrate robot1.nc --draws 20 --burn-in-particles 300 --model"),
     ("pmcl criticize robot1.nc", "pmcl criticize robot1.nc --no-joint"),
     ("pmcl criticize steered.nc", "pmcl criticize steered.nc --no-joint"),

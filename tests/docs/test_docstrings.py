@@ -68,7 +68,9 @@ def test_literal_blocks_run(name, scope, tmp_path):
 @pytest.mark.parametrize("name", _marked(DOCTESTS))
 def test_doctests_run(name, scope):
     if "data" in DOCTESTS[name]:
-        scope["data"] = pmcl.calibrate(scope["log"], draws=20, chains=2, burn_in_particles=100, seed=1)
+        scope["data"] = pmcl.calibrate(
+            scope["log"], method=pmcl.ParticleGibbs(burn_in_particles=100), draws=20, chains=2, seed=1
+        )
     example = doctest.DocTestParser().get_doctest(DOCTESTS[name], scope, name, None, 0)
     result = doctest.DocTestRunner().run(example)
     assert result.attempted > 0

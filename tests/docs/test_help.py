@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 import pmcl
 from pmcl import defaults
+from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.cli.commands import pmcl as application
 from pmcl.logs import read_barfoot, read_mrclam
-from pmcl.sampling.stages import Plan
 
 
 def _commands(group, path=()):
@@ -35,6 +35,12 @@ FUNCTIONS = {
 }
 
 
+def _options(path):
+    """The options of a command, with those that it has of calibration methods."""
+    command = COMMANDS[path]
+    return command.get_params(click.Context(command))
+
+
 def _help(*path):
     return CliRunner().invoke(application, [*path, "--help"], terminal_width=80).stdout
 
@@ -48,7 +54,7 @@ def test_the_lists_of_commands_are_not_cut():
 
 @pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
 def test_every_option_is_described(path):
-    for option in COMMANDS[path].params:
+    for option in _options(path):
         if isinstance(option, click.Option):
             assert option.help, option.name
             assert option.help.rstrip().endswith((".", "]")), option.help
@@ -59,7 +65,7 @@ def test_every_option_is_described(path):
 def test_options_have_the_defaults_of_the_functions_they_set(path):
     signature = inspect.signature(FUNCTIONS[path]).parameters
     compared = 0
-    for option in COMMANDS[path].params:
+    for option in _options(path):
         if option.name in signature and isinstance(option, click.Option):
             default = signature[option.name].default
             stated = option.to_info_dict()["default"]
@@ -72,10 +78,11 @@ def test_options_have_the_defaults_of_the_functions_they_set(path):
 
 
 def test_settings_without_a_default_of_their_own_say_what_they_become():
-    told = " ".join(_help("calibrate").split())
-    for name, count in defaults.CALIBRATION_PARTICLES.items():
-        assert f"{count} for {name}" in told
-    assert f"Sweeps from one stored draw to the next. [default: {Plan.sweeps_per_draw}]" in told
+    shown = " ".join(_help("calibrate").split())
+    methods = {kernel: ParticleGibbs(kernel=kernel) for kernel in ("conditional", "smoothing")}
+    for name, method in {**methods, "ensemble": Ensemble()}.items():
+        assert f"{method.usual_particles} for {name}" in shown
+    assert f"Sweeps from one stored draw to the next. [default: {ParticleGibbs.sweeps_per_draw}]" in shown
     localized = " ".join(_help("localize").split())
     assert f"[default: {defaults.LOCALIZATION_DRAWS}]" in localized
     assert f"[default: {defaults.LOCALIZATION_DRAWS_PER_READING}]" in localized

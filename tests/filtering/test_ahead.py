@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import pmcl
+from pmcl.calibration import ParticleGibbs, calibrate
 from pmcl.engine import compile_ahead as helper
 from pmcl.engine.progress import _expected, announce_compilation, expect_compilations
 from pmcl.filtering import ahead
@@ -18,7 +19,6 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import default_model
 from pmcl.models.tables import uniform
-from pmcl.posterior.calibrate import calibrate
 from pmcl.simulations.aibo import simulate_aibo
 from pmcl.simulations.amigobot import simulate_amigobot
 
@@ -149,7 +149,7 @@ def test_a_calibration_compiles_what_was_foreseen_and_little_else(short_log, mon
     """A signature that is foreseen wrongly is compiled for nothing, and the right one is compiled late."""
     foreseen = []
     monkeypatch.setattr(ahead, "compile_ahead", foreseen.extend)
-    calibrate(short_log, draws=4, chains=1, burn_in_particles=50, seed=1)
+    calibrate(short_log, draws=4, chains=1, method=ParticleGibbs(burn_in_particles=50), seed=1)
     sampling = [(function, kinds) for function, kinds in _signatures(foreseen) if "pass" not in function.__name__]
     used = [function.__name__ for function, kinds in sampling if kinds in function.overloads]
     assert sorted(used) == ["factorise", "joint_terms", "refresh_blocks", "sweep", "transport_trial"]

@@ -18,7 +18,7 @@ from pmcl.engine.disk_cache import DiskCache
 from pmcl.engine.file_lock import FileLock
 from pmcl.engine.vector_math import exp_into
 from pmcl.filtering.kernels import smc
-from pmcl.filtering.particle_filter import make_rng, sweep_path
+from pmcl.filtering.particle_filter import make_rng, update_path
 
 TESTS = Path(__file__).resolve().parents[1]
 PACKAGE = Path(disk_cache.__file__).resolve().parents[3]
@@ -97,15 +97,15 @@ def test_two_models_run_twice_are_compiled_once_each():
     chain, rng = hidden_markov.chain_tables(), make_rng(1)
 
     def run():
-        sweep_path(rail, np.full((6, 1), 50.0), 6, 5, rng, "smoothing")
-        sweep_path(chain, np.zeros((4, 1)), 4, 5, rng, "smoothing")
+        update_path(rail, np.full((6, 1), 50.0), 6, 5, rng, "smoothing")
+        update_path(chain, np.zeros((4, 1)), 4, 5, rng, "smoothing")
 
     run()
     known = len(smc.redraw_path.signatures)
     handled = sum(smc.redraw_path.stats.cache_hits.values()) + sum(smc.redraw_path.stats.cache_misses.values())
     run()
     # Neither other numbers, nor other lengths, nor the other kernel make another program.
-    sweep_path(rail, np.full((6, 1), 50.0), 4, 9, rng, "conditional")
+    update_path(rail, np.full((6, 1), 50.0), 4, 9, rng, "conditional")
     assert len(smc.redraw_path.signatures) == known
     assert sum(smc.redraw_path.stats.cache_hits.values()) + sum(smc.redraw_path.stats.cache_misses.values()) == handled
 

@@ -9,7 +9,7 @@ from oracles.monte_carlo import TOLERANCE, assert_agrees, off_by
 from oracles.random_walk_model import rail_log, rail_model
 from scipy import stats
 
-from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter, sweep_path
+from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter, update_path
 
 # Evidence is estimated over the first rows only: the shorter the log, the sharper an estimate can be checked.
 T, FEW = 12, 6
@@ -127,7 +127,7 @@ def _after_sweeps(tables, model, sfc, kernel, n, sweeps=2, runs=40_000):
     for k in range(runs):
         path = np.ascontiguousarray(paths[k, :, None])
         for _ in range(sweeps):
-            sweep_path(tables, path, T, n, sfc, kernel)
+            update_path(tables, path, T, n, sfc, kernel)
         paths[k] = path[:, 0]
     return paths
 
@@ -167,7 +167,7 @@ def _inverse_ratios(tables, model, sfc, kernel, n=50, runs=20_000):
     mean, covariance = kalman.path_posterior(begin, *THETA)
     paths = mean + sfc.standard_normal((runs, FEW)) @ np.linalg.cholesky(covariance).T
     estimates = [
-        sweep_path(tables, np.ascontiguousarray(path[:, None]), FEW, n, sfc, kernel).log_evidence for path in paths
+        update_path(tables, np.ascontiguousarray(path[:, None]), FEW, n, sfc, kernel).log_evidence for path in paths
     ]
     return np.exp(kalman.log_evidence(begin, *THETA) - np.array(estimates))
 
@@ -188,7 +188,7 @@ def test_conditional_sweeps_forget_where_they_began(rail, sfc):
     for k in range(1000):
         path = np.ascontiguousarray((mean + 2.0)[:, None])
         for _ in range(15):
-            sweep_path(tables, path, T, 20, sfc, "conditional")
+            update_path(tables, path, T, 20, sfc, "conditional")
         ends[k] = path[:, 0]
     assert np.all(off_by(ends, mean) < TOLERANCE)
 
@@ -242,7 +242,7 @@ def _swept(tables, paths, probability, n, kernel, sfc, runs=40_000):
     found = paths[sfc.choice(len(paths), size=runs, p=probability)].astype(float)
     for k in range(runs):
         path = np.ascontiguousarray(found[k, :, None])
-        info = sweep_path(tables, path, STEPS, n, sfc, kernel)
-        assert info.alive or kernel == "smoothing"
+        info = update_path(tables, path, STEPS, n, sfc, kernel)
+        assert info.succeeded or kernel == "smoothing"
         found[k] = path[:, 0]
     return found

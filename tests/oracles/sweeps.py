@@ -11,21 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.models.robot_model import BoundModel
-from pmcl.sampling.state import ChainState
+from pmcl.sampling.state import ChainState, SweepInfo
 from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Transport
 
 Float = NDArray[np.float64]
-Step = Callable[..., ChainState]
+Step = Callable[..., tuple[ChainState, SweepInfo]]
 
 
 def first_state(bound: BoundModel, theta: Float, path: Float, log_step: Float | None = None) -> ChainState:
     """A state at `theta` and `path` whose proposals are a third of each parameter."""
-    quiet: Any = dict.fromkeys(ChainState._fields, 0.0)
-    told = {"theta": theta.copy(), "path": path.copy(), "accepted": np.zeros(theta.size), "rows": max(bound.lengths)}
     steps = np.log(0.35 * theta) if log_step is None else log_step
-    return ChainState(**{**quiet, **told, "log_step": steps, "dead": 0})
+    return ChainState(
+        theta=theta.copy(), log_joint=0.0, path=path.copy(), log_step=steps, log_scale=0.0, rows=max(bound.lengths),
+        failed_updates=0,
+    )  # fmt: skip
 
 
 def run_chain(
@@ -42,7 +43,7 @@ def run_chain(
     seeds = np.random.SeedSequence(seed).generate_state(draws, dtype=np.uint64)
     thetas, paths = np.empty((draws, bound.dimension)), np.empty((draws, *state.path.shape))
     for k in range(draws):
-        state = step(bound, settings, transport, transform, state, int(seeds[k]))
+        state, _ = step(bound, settings, transport, transform, state, int(seeds[k]))
         thetas[k], paths[k] = state.theta, state.path
     return thetas, paths
 

@@ -219,6 +219,7 @@ def test_what_does_not_belong_together_is_refused_in_one_line(name):
     case = fake_case(n_draws=20)
     change, place = BAD[name]
     arguments = {"chains": case.chains, "parameters": case.parameters, "logs": case.logs} | change(case)
+    arguments["result"] = arguments.pop("chains")
     with pytest.raises(PosteriorError) as caught:
         to_arviz(**arguments)
     message = str(caught.value)

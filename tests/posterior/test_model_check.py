@@ -157,7 +157,8 @@ def test_the_same_seed_gives_the_same_check():
 def calibrated():
     """A short calibration with all that ends it."""
     log = pmcl.simulate_aibo(100.0, 4)
-    return log, pmcl.calibrate(log, draws=60, chains=2, burn_in_particles=100, trajectories=5)
+    method = pmcl.ParticleGibbs(burn_in_particles=100)
+    return log, pmcl.calibrate(log, method=method, draws=60, chains=2, trajectories=5)
 
 
 def test_a_calibration_ends_with_its_verdict(calibrated):
@@ -172,7 +173,8 @@ def test_a_calibration_ends_with_its_verdict(calibrated):
 
 
 def test_the_check_can_be_left_out():
-    data = pmcl.calibrate(pmcl.simulate_aibo(20.0, 4), draws=4, chains=2, burn_in_particles=50, check=False)
+    method = pmcl.ParticleGibbs(burn_in_particles=50)
+    data = pmcl.calibrate(pmcl.simulate_aibo(20.0, 4), method=method, draws=4, chains=2, check=False)
     assert verdict(data).adequate is None
     assert not find_group(data, "log_likelihood").data_vars
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from oracles import mistakes
 
+from pmcl.calibration import calibrate
 from pmcl.errors import LogError, MapError
 from pmcl.geometry import compose
 from pmcl.logs.mrclam import read_mrclam
@@ -17,7 +18,6 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
-from pmcl.posterior.calibrate import calibrate
 from pmcl.preflight.check import _tells, _usual_noise, checked_logs, disagreements, preflight
 from pmcl.preflight.evidence import evidence_of
 from pmcl.preflight.hypotheses import hypotheses_of

@@ -8,9 +8,9 @@ import logging
 import pytest
 from oracles import mistakes
 
+import pmcl.calibration.workflow
 import pmcl.cli.convert
 import pmcl.criticism.workflow
-import pmcl.posterior.calibrate
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
 
@@ -24,13 +24,13 @@ def wrong_log():
 
 
 def test_calibrate_warns_before_it_samples_and_keeps_what_was_found(wrong_log, monkeypatch, caplog):
-    def stop(*given, settings, **others):
+    def stop(method, bound, options):
         assert "turn-sign-flipped" in caplog.text
-        raise ReachedSampling(settings["preflight"])
+        raise ReachedSampling(options.attributes["preflight"])
 
-    monkeypatch.setattr(pmcl.posterior.calibrate, "run_particle_gibbs", stop)
+    monkeypatch.setattr(pmcl.ParticleGibbs, "run", stop)
     with caplog.at_level(logging.WARNING, "pmcl"), pytest.raises(ReachedSampling) as reached:
-        pmcl.posterior.calibrate.calibrate(wrong_log)
+        pmcl.calibration.workflow.calibrate(wrong_log)
     (finding,) = json.loads(str(reached.value))
     assert (finding["name"], finding["level"], finding["mistake"]) == ("turn-sign-flipped", "implausible", True)
 

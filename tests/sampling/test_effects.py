@@ -98,10 +98,10 @@ def test_transport_moves_carry_parameters_and_path_together(name, rng):
     assert transport is not None
     sfc = make_rng(int(rng.integers(2**62)))
     tables = bound.tables(theta)
-    assert transport_moves(bound, theta, tables, [path], transport, transform, 20, 0.0, sfc).walked == 1.0
+    assert transport_moves(bound, theta, tables, [path], transport, transform, 20, 0.0, sfc).walk_acceptance_rate == 1.0
     made = transport_moves(bound, theta, tables, [path], transport, transform, 150, 1.0, sfc)
-    assert made.walked > 0.01
-    assert made.refreshed >= 0.0
+    assert made.walk_acceptance_rate > 0.01
+    assert made.redraw_rate >= 0.0
     assert (transform.to_line(made.theta) != u).all()
     exact = bound.log_prior(made.theta) + log_joint(bound.tables(made.theta)[0], made.paths[0])
     assert made.log_joint == pytest.approx(exact, rel=1e-10)
@@ -137,7 +137,7 @@ def test_without_the_moved_readings_moves_of_the_mount_are_hardly_accepted(rng):
     for one in (transport, replace(transport, sensors=())):
         sfc = make_rng(7)
         made = transport_moves(bound, theta, bound.tables(theta), [path], one, transform, 300, 1.0, sfc)
-        shares.append(made.walked)
+        shares.append(made.walk_acceptance_rate)
     assert shares[0] > 3.0 * shares[1]
     assert shares[0] > 0.1
 

@@ -10,11 +10,11 @@ from oracles import kalman
 from oracles.monte_carlo import TOLERANCE, chain_standard_error
 from oracles.random_walk_model import rail_log, rail_model
 
+from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.errors import SamplingError
 from pmcl.filtering.particle_filter import log_joint
-from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers
-from pmcl.sampling.run import run_ensemble, run_particle_gibbs
-from pmcl.sampling.stages import Plan
+from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers, run_ensemble
+from pmcl.sampling.options import RunOptions
 
 T = 10
 MATTERS = 0.4
@@ -40,12 +40,17 @@ def _moments(theta, exact):
     return features.mean(axis=(0, 1)), chain_standard_error(features, batches=5)
 
 
+def _run_ensemble(bound, draws, burn_in):
+    options = RunOptions(draws=draws, chains=12, seed=1, trajectories=1)
+    return Ensemble(particles=60, burn_in=burn_in).run(bound, options)
+
+
 @pytest.mark.slow
 def test_ensemble_and_particle_gibbs_have_the_exact_posterior(bound, exact):
     """Twelve walkers, four chains; against the grid and against each other."""
-    ensemble = run_ensemble(bound, particles=60, n_walkers=12, draws=1200, burn_in=200, seed=1, trajectories=1)
-    plan = Plan(burn_in_particles=100, data_rate=5, draws=1000, sweeps_per_draw=1, particles=15, trajectories=1)
-    gibbs = run_particle_gibbs(bound, plan, 4, seed=2)
+    ensemble = _run_ensemble(bound, 1200, 200)
+    method = ParticleGibbs(burn_in_particles=100, data_rate=5, sweeps_per_draw=1, particles=15)
+    gibbs = method.run(bound, RunOptions(draws=1000, chains=4, seed=2, trajectories=1))
     found = [_moments(chains.theta, exact) for chains in (ensemble, gibbs)]
     for mean, error in found:
         assert error[:2].max() < MATTERS / 5.0, error.round(3)
@@ -58,9 +63,7 @@ def test_a_target_that_mistakes_theta_is_noticed(bound, exact, monkeypatch):
     real = PseudoMarginalTarget.__call__
 
     monkeypatch.setattr(PseudoMarginalTarget, "__call__", lambda self, theta: real(self, 0.75 * theta))
-    mean, error = _moments(
-        run_ensemble(bound, particles=60, n_walkers=12, draws=500, burn_in=100, seed=1, trajectories=1).theta, exact
-    )
+    mean, error = _moments(_run_ensemble(bound, 500, 100).theta, exact)
     assert np.abs(mean / error).max() > TOLERANCE
 
 
@@ -94,4 +97,4 @@ def test_the_ensemble_starts_from_the_best_of_many_draws(bound):
 
 def test_too_few_walkers_are_refused(bound):
     with pytest.raises(SamplingError, match="at least twice as many walkers as parameters"):
-        run_ensemble(bound, particles=20, n_walkers=3, draws=2, burn_in=2, seed=1)
+        run_ensemble(bound, particles=20, burn_in=2, options=RunOptions(draws=2, chains=3), settings={})

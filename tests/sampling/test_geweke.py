@@ -78,7 +78,9 @@ def _successive(bound, reference, draws, sweep, seed):
         # The linearisation may depend on readings and reference, never on parameters or path.
         geometry.reading[:] = readings[times, geometry.channel]
         value = bound.log_prior(state.theta) + log_joint(tables, state.path)
-        state = sweep(bound, SETTINGS, transport, transform, state._replace(log_joint=value), int(rng.integers(2**62)))
+        state, _ = sweep(
+            bound, SETTINGS, transport, transform, state._replace(log_joint=value), int(rng.integers(2**62))
+        )
         found.append(_quantities(bound, state.theta, state.path))
     return np.array(found)
 

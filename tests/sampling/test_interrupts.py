@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,13 +16,14 @@ import pytest
 from oracles.random_walk_model import rail_log, rail_model
 
 import pmcl
+from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.interrupts import check_interrupt, stopping_on_interrupt
-from pmcl.sampling import stages
-from pmcl.sampling.run import run_ensemble, run_particle_gibbs
+from pmcl.sampling.options import RunOptions
 
-PLAN = stages.Plan(
-    particles=8, burn_in_particles=40, data_rate=3, settle=4, tuning=(6, 8), draws=12, sweeps_per_draw=1, trajectories=4
+SHORT = ParticleGibbs(
+    particles=8, burn_in_particles=40, data_rate=3, settling_sweeps=4, tuning_sweeps=(6, 8), sweeps_per_draw=1
 )
+OPTIONS = RunOptions(draws=12, chains=3, seed=5, trajectories=4)
 
 
 def press_control_c():
@@ -121,9 +123,9 @@ def stop_at(monkeypatch, owner, name, count):
 @pytest.mark.parametrize(
     ("name", "count", "steps"),
     [
-        ("pmcl.sampling.run.start_chain", 1, 0),
+        ("pmcl.sampling.particle_gibbs.start_chain", 1, 0),
         ("pmcl.sampling.move.step", 1, 0),
-        ("pmcl.sampling.run.tuned_transports", 2, 13),
+        ("pmcl.sampling.particle_gibbs.tuned_transports", 2, 13),
         ("pmcl.sampling.backends.Backend.save_step", 3, 3),
         ("pmcl.sampling.backends.Backend.save_step", 33, 33),
     ],
@@ -134,7 +136,7 @@ def test_particle_gibbs_stops_at_once_and_keeps_every_step(name, count, steps, t
     owner, _, function = name.rpartition(".")
     calls = stop_at(monkeypatch, _found(owner), function, count)
     with pytest.raises(KeyboardInterrupt, match="resume"):
-        run_particle_gibbs(bound, PLAN, 3, seed=5, checkpoint=str(path))
+        SHORT.run(bound, replace(OPTIONS, checkpoint=str(path)))
     assert "swallowed" not in calls
     assert _stored_steps(path) == steps
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -145,8 +147,9 @@ def test_an_ensemble_stops_too(tmp_path, monkeypatch):
 
     bound, path = rail_model().bind(rail_log(9, seed=2)), tmp_path / "run.h5"
     stop_at(monkeypatch, backends.Backend, "save_step", 4)
+    options = RunOptions(draws=10, chains=6, seed=3, checkpoint=str(path))
     with pytest.raises(KeyboardInterrupt):
-        run_ensemble(bound, particles=20, n_walkers=6, draws=10, burn_in=3, seed=3, checkpoint=str(path))
+        Ensemble(particles=20, burn_in=3).run(bound, options)
     assert _stored_steps(path) == 4
 
 
@@ -156,7 +159,7 @@ def test_without_a_checkpoint_the_caller_is_told_that_nothing_is_kept(monkeypatc
     bound = rail_model().bind(rail_log(9, seed=2))
     stop_at(monkeypatch, backends.Backend, "save_step", 2)
     with pytest.raises(KeyboardInterrupt, match="without a checkpoint nothing"):
-        run_particle_gibbs(bound, PLAN, 2, seed=5)
+        SHORT.run(bound, OPTIONS)
 
 
 def _found(name):
@@ -180,7 +183,7 @@ def _stored_steps(path):
 PROCESS = """
 import sys
 from oracles.random_walk_model import rail_log, rail_model
-from pmcl.posterior.calibrate import calibrate
+from pmcl.calibration import ParticleGibbs, calibrate
 from pmcl.sampling.backends import StageBackend
 saved = StageBackend.save_step
 def save(self, state, accepted):
@@ -188,8 +191,8 @@ def save(self, state, accepted):
     print("step", flush=True)
 StageBackend.save_step = save
 calibrate(
-    rail_log(9, seed=2), rail_model(), draws=1_000_000, chains=2, particles=8, burn_in_particles=40,
-    checkpoint=sys.argv[1],
+    rail_log(9, seed=2), rail_model(), method=ParticleGibbs(particles=8, burn_in_particles=40), draws=1_000_000,
+    chains=2, checkpoint=sys.argv[1],
 )
 """
 

@@ -18,7 +18,7 @@ from oracles.monte_carlo import SHARPNESS, TOLERANCE, chain_standard_error
 from oracles.random_walk_model import rail_log, rail_model
 from oracles.sweeps import first_state, run_chain, run_chains
 
-from pmcl.filtering.particle_filter import make_rng, sweep_path
+from pmcl.filtering.particle_filter import make_rng, update_path
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transport import Proposal, linearised_at
@@ -116,8 +116,8 @@ def _previous_theta(bound, settings, transport, transform, state, seed):
     theta, _, _ = update_theta(
         bound, state.theta, tables, [state.path], state.log_step, settings.metropolis_steps, 0.0, rng
     )
-    sweep_path(tables[0], path, T, settings.particles, rng, "conditional")
-    return state._replace(theta=theta, path=path)
+    update_path(tables[0], path, T, settings.particles, rng, "conditional")
+    return state._replace(theta=theta, path=path), None
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -19,24 +20,27 @@ from oracles.amigobot_model import amigobot_log, tight_model
 from oracles.random_walk_model import rail_log, rail_model
 
 import pmcl
+from pmcl.calibration import Ensemble, ParticleGibbs, calibrate
 from pmcl.errors import SamplingError
-from pmcl.posterior.calibrate import calibrate
 from pmcl.posterior.files import write_posterior
-from pmcl.sampling.run import run_ensemble, run_particle_gibbs
-from pmcl.sampling.stages import Plan
+from pmcl.sampling.options import RunOptions
 
-SHORT = Plan(
-    particles=8, burn_in_particles=40, data_rate=3, settle=4, tuning=(6, 8), draws=12, sweeps_per_draw=1, trajectories=4
+SHORT = ParticleGibbs(
+    particles=8, burn_in_particles=40, data_rate=3, settling_sweeps=4, tuning_sweeps=(6, 8), sweeps_per_draw=1
 )
+OPTIONS = RunOptions(draws=12, chains=3, seed=5, trajectories=4)
 CALIBRATE = {
+    "method": ParticleGibbs(particles=8, burn_in_particles=40, sweeps_per_draw=1),
     "draws": 12,
     "chains": 2,
-    "particles": 8,
-    "burn_in_particles": 40,
-    "sweeps_per_draw": 1,
     "trajectories": 4,
     "seed": 11,
 }
+
+
+def run(bound, method=SHORT, **changes):
+    return method.run(bound, replace(OPTIONS, **changes))
+
 
 # Runs a calibration that writes its checkpoint after every step, and is killed by SIGKILL in the middle of the given
 # write: half of the new file is there, the old one is still in its place.
@@ -56,7 +60,7 @@ def write(group, backend):
     written(group, backend)
 checkpoint._write_stage = write
 from oracles.amigobot_model import amigobot_log, tight_model
-from pmcl.posterior.calibrate import calibrate
+from pmcl.calibration import ParticleGibbs, calibrate
 calibrate(amigobot_log(6, seed=3), tight_model(), checkpoint=sys.argv[1], **{settings})
 """
 
@@ -100,7 +104,7 @@ def rail():
 
 @pytest.fixture(scope="module")
 def uninterrupted(rail):
-    return run_particle_gibbs(rail, SHORT, 3, seed=5)
+    return run(rail)
 
 
 @pytest.fixture(scope="module")
@@ -124,14 +128,14 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(step, calibrated, tmp_p
 
 
 def test_a_checkpoint_changes_nothing(rail, uninterrupted, tmp_path):
-    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(tmp_path / "run.h5")), uninterrupted)
+    _assert_same(run(rail, checkpoint=str(tmp_path / "run.h5")), uninterrupted)
 
 
 def test_a_finished_run_is_returned_as_it_was(rail, uninterrupted, tmp_path, monkeypatch):
     path = str(tmp_path / "run.h5")
-    run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+    run(rail, checkpoint=path)
     monkeypatch.setattr("pmcl.sampling.move.step", lambda *given: pytest.fail("a finished run made another step"))
-    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path, resume=True), uninterrupted)
+    _assert_same(run(rail, checkpoint=path, resume=True), uninterrupted)
 
 
 @pytest.mark.parametrize("count", [1, 3, 8, 20, 29])
@@ -151,14 +155,14 @@ def test_a_run_stopped_by_an_error_can_be_resumed(rail, uninterrupted, count, tm
     with monkeypatch.context() as patch:
         patch.setattr(backends.Backend, "save_step", save)
         with pytest.raises(KeyboardInterrupt):
-            run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+            run(rail, checkpoint=path)
     assert Path(path).exists() == (count > 1)
-    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path, resume=True), uninterrupted)
+    _assert_same(run(rail, checkpoint=path, resume=True), uninterrupted)
 
 
 def _other(what):
     """The same run but for one thing."""
-    log, model, plan, chains, seed = rail_log(9, seed=2), rail_model(), SHORT, 3, 5
+    log, model, method, changes = rail_log(9, seed=2), rail_model(), SHORT, {}
     if what == "log":
         log = rail_log(9, seed=3)
     elif what == "model":
@@ -172,26 +176,26 @@ def _other(what):
             model.motion, model.sensors, model.start, priors={"reading_std": stats.gamma(3.0, scale=0.21)}
         )
     elif what == "setting":
-        plan = Plan(**{**vars(SHORT), "particles": 9})
+        method = replace(SHORT, particles=9)
     elif what == "chains":
-        chains = 4
+        changes = {"chains": 4}
     elif what == "seed":
-        seed = 6
-    return model.bind(log), plan, chains, seed
+        changes = {"seed": 6}
+    return model.bind(log), method, changes
 
 
 @pytest.fixture(scope="module")
 def finished(rail, tmp_path_factory):
     path = str(tmp_path_factory.mktemp("finished") / "run.h5")
-    run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=path)
+    run(rail, checkpoint=path)
     return path
 
 
 @pytest.mark.parametrize("what", ["log", "model", "prior", "setting", "chains", "seed"])
 def test_another_run_is_refused(what, finished):
-    bound, plan, chains, seed = _other(what)
+    bound, method, changes = _other(what)
     with pytest.raises(SamplingError, match="the checkpoint belongs to another run") as caught:
-        run_particle_gibbs(bound, plan, chains, seed, checkpoint=finished, resume=True)
+        run(bound, method, checkpoint=finished, resume=True, **changes)
     assert "\n" not in str(caught.value)
     assert finished in str(caught.value)
 
@@ -199,7 +203,7 @@ def test_another_run_is_refused(what, finished):
 def test_an_existing_checkpoint_is_never_overwritten(rail, finished):
     before = Path(finished).read_bytes()
     with pytest.raises(SamplingError, match="expected no checkpoint, but there is one"):
-        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=finished)
+        run(rail, checkpoint=finished)
     assert Path(finished).read_bytes() == before
 
 
@@ -209,7 +213,7 @@ def test_a_truncated_checkpoint_is_refused_in_one_line(rail, finished, share, tm
     path.write_bytes(content[: int(share * len(content))])
     before = path.read_bytes()
     with pytest.raises(SamplingError, match="remove it to start anew") as caught:
-        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True)
+        run(rail, checkpoint=str(path), resume=True)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
     assert path.read_bytes() == before
@@ -219,7 +223,7 @@ def test_a_locked_checkpoint_is_refused_in_one_line(rail, finished):
     with open(finished, "rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         with pytest.raises(SamplingError, match="another program has it open") as caught:
-            run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=finished, resume=True)
+            run(rail, checkpoint=finished, resume=True)
     assert "\n" not in str(caught.value)
 
 
@@ -229,7 +233,7 @@ def test_a_checkpoint_of_another_version_is_refused(rail, finished, tmp_path):
     with h5py.File(path, "a") as file:
         file.attrs["pmcl_checkpoint"] = 1
     with pytest.raises(SamplingError, match="another version"):
-        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True)
+        run(rail, checkpoint=str(path), resume=True)
 
 
 @pytest.mark.usefixtures("every_step")
@@ -245,21 +249,21 @@ def test_a_write_that_fails_leaves_the_checkpoint_before(rail, uninterrupted, tm
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", fail)
-        _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path)), uninterrupted)
+        _assert_same(run(rail, checkpoint=str(path)), uninterrupted)
     assert "No space left" in caplog.text
     assert [file.name for file in tmp_path.iterdir()] == ["run.h5"]
-    _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True), uninterrupted)
+    _assert_same(run(rail, checkpoint=str(path), resume=True), uninterrupted)
 
 
 def test_a_checkpoint_holds_no_more_than_resuming_needs(tmp_path):
     """The kept trajectories in single precision, three paths of each chain in double precision, and 80 kB besides."""
     bound = rail_model().bind(rail_log(2000, seed=2))
     path, chains = tmp_path / "run.h5", 2
-    plan = Plan(
-        particles=4, burn_in_particles=20, data_rate=500, settle=4, tuning=(4, 4), draws=20, trajectories=10,
-        transport_moves=0, sweeps_per_draw=1,
+    method = ParticleGibbs(
+        particles=4, burn_in_particles=20, data_rate=500, settling_sweeps=4, tuning_sweeps=(4, 4), transport_moves=0,
+        sweeps_per_draw=1,
     )  # fmt: skip
-    run_particle_gibbs(bound, plan, chains, seed=5, checkpoint=str(path))
+    run(bound, method, draws=20, trajectories=10, chains=chains, checkpoint=str(path))
     numbers = chains * 2000
     assert path.stat().st_size < 4 * 10 * numbers + 8 * 3 * numbers + 80_000
 
@@ -275,22 +279,22 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(rail, content, tmp_path):
     path = tmp_path / "run.h5"
     path.write_bytes(content)
     with pytest.raises(SamplingError) as caught:
-        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(path), resume=True)
+        run(rail, checkpoint=str(path), resume=True)
     assert "\n" not in str(caught.value)
 
 
 def test_a_checkpoint_that_cannot_be_written_is_refused(rail, tmp_path):
     with pytest.raises(SamplingError, match="cannot be written"):
-        run_particle_gibbs(rail, SHORT, 3, seed=5, checkpoint=str(tmp_path / "no folder" / "run.h5"))
+        run(rail, checkpoint=str(tmp_path / "no folder" / "run.h5"))
 
 
 def test_processes_give_the_same_chains_as_threads(rail, uninterrupted):
     with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
-        _assert_same(run_particle_gibbs(rail, SHORT, 3, seed=5, pool=pool), uninterrupted)
+        _assert_same(run(rail, pool=pool), uninterrupted)
 
 
 def test_another_seed_gives_other_chains(rail, uninterrupted):
-    other = run_particle_gibbs(rail, SHORT, 3, seed=6)
+    other = run(rail, seed=6)
     assert (other.theta != uninterrupted.theta).all()
     # Chains of one run differ too.
     assert len(np.unique(uninterrupted.theta[:, -1, 0])) == 3
@@ -300,8 +304,8 @@ def test_another_seed_gives_other_chains(rail, uninterrupted):
 def test_an_ensemble_can_be_resumed_too(rail, tmp_path, monkeypatch):
     from pmcl.sampling import backends
 
-    sizes = {"particles": 20, "n_walkers": 6, "draws": 10, "burn_in": 6, "seed": 3, "trajectories": 2}
-    whole = run_ensemble(rail, **sizes)
+    method, sizes = Ensemble(particles=20, burn_in=6), {"chains": 6, "draws": 10, "seed": 3, "trajectories": 2}
+    whole = run(rail, method, **sizes)
     for count in (2, 9):
         path, calls, saved = str(tmp_path / f"run{count}.h5"), [], backends.Backend.save_step
 
@@ -314,5 +318,5 @@ def test_an_ensemble_can_be_resumed_too(rail, tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(backends.Backend, "save_step", save)
             with pytest.raises(KeyboardInterrupt):
-                run_ensemble(rail, checkpoint=path, **sizes)
-        _assert_same(run_ensemble(rail, checkpoint=path, resume=True, **sizes), whole)
+                run(rail, method, checkpoint=path, **sizes)
+        _assert_same(run(rail, method, checkpoint=path, resume=True, **sizes), whole)

@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 from oracles.random_walk_model import BoundRailSensor, RailMotion, RailSensor, RailStart, rail_log, rail_model
 
+from pmcl.calibration import ParticleGibbs
 from pmcl.errors import FilterError, SamplingError
 from pmcl.models.robot_model import RobotModel
-from pmcl.sampling.run import run_particle_gibbs
-from pmcl.sampling.stages import Plan, lost_chains, plan_stages, restarted
+from pmcl.sampling.options import RunOptions
 from pmcl.sampling.state import from_blob, into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain, step
 from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.tuning import lost_chains, restarted
 
 T = 12
-SHORT = Plan(particles=10, burn_in_particles=50, data_rate=4, settle=4, tuning=(6,), draws=5, sweeps_per_draw=1)
+SHORT = ParticleGibbs(
+    particles=10, burn_in_particles=50, data_rate=4, settling_sweeps=4, tuning_sweeps=(6,), sweeps_per_draw=1
+)
 
 
 class StrangeSensor(RailSensor):
@@ -55,12 +58,12 @@ def test_an_impossible_theta_is_drawn_again_and_counted(caplog):
     median = float(RailSensor().parameters[0].prior.median())
     bound = _bound(StrangeSensor(impossible_below=median))
     starts = [start_chain(bound, SweepSettings("smoothing", 30, data_rate=4), seed) for seed in range(60)]
-    assert all(state.theta[1] > median for state, _ in starts)
-    assert all(np.isfinite(state.log_joint) for state, _ in starts)
+    assert all(start.state.theta[1] > median for start in starts)
+    assert all(np.isfinite(start.state.log_joint) for start in starts)
     # Redraws before a success of probability 1/2 have mean 1 and standard deviation sqrt 2.
-    assert abs(np.mean([count for _, count in starts]) - 1.0) < 5.0 * np.sqrt(2.0 / 60.0)
+    assert abs(np.mean([start.impossible_draws for start in starts]) - 1.0) < 5.0 * np.sqrt(2.0 / 60.0)
     with caplog.at_level(logging.WARNING, "pmcl.sampling"):
-        chains = run_particle_gibbs(bound, SHORT, 4, seed=0)
+        chains = SHORT.run(bound, RunOptions(draws=5))
     assert chains.settings["impossible_starts"] > 0
     assert f"{chains.settings['impossible_starts']} draws of theta" in caplog.text
 
@@ -74,7 +77,7 @@ def test_a_start_that_is_impossible_everywhere_says_so_in_one_line():
 
 def test_a_density_that_is_no_number_names_row_and_parameters():
     bound = _bound(StrangeSensor(nan_above=0.9))
-    state, _ = start_chain(bound, SweepSettings("smoothing", 30), 1)
+    state = start_chain(bound, SweepSettings("smoothing", 30), 1).state
     bad = state._replace(theta=np.array([0.5, 1.25]))
     with pytest.raises(FilterError, match="at row 0 a density is not a number") as caught:
         step(bound, SweepSettings("conditional", 10), None, Unconstrained(bound.parameters), bad, 1)
@@ -85,21 +88,21 @@ def test_a_density_that_is_no_number_names_row_and_parameters():
 def test_a_sweep_in_which_every_particle_dies_keeps_the_path():
     """`smoothing` may lose every particle; the old trajectory stays, it is counted, and theta moves on."""
     bound = _bound(StrangeSensor(impossible_below=0.3))
-    state, _ = start_chain(bound, SweepSettings("smoothing", 30), 1)
+    state = start_chain(bound, SweepSettings("smoothing", 30), 1).state
     doomed = state._replace(theta=np.array([0.5, 0.2]))
     settings = SweepSettings("smoothing", 10, metropolis_steps=0, transport_moves=0)
-    new = step(bound, settings, None, Unconstrained(bound.parameters), doomed, 1)
-    assert new.dead == state.dead + 1
+    new, _ = step(bound, settings, None, Unconstrained(bound.parameters), doomed, 1)
+    assert new.failed_updates == state.failed_updates + 1
     np.testing.assert_array_equal(new.path, state.path)
     assert new.log_joint == -np.inf
 
 
 def test_a_step_is_a_function_of_its_arguments():
     bound = rail_model().bind(rail_log(T, seed=4))
-    state, _ = start_chain(bound, SweepSettings("smoothing", 30), 1)
+    state = start_chain(bound, SweepSettings("smoothing", 30), 1).state
     kept = state.path.copy()
     settings, transform = SweepSettings("conditional", 10, sweeps=3), Unconstrained(bound.parameters)
-    first, second, other = (step(bound, settings, None, transform, state, seed) for seed in (5, 5, 6))
+    first, second, other = (step(bound, settings, None, transform, state, seed)[0] for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.theta, second.theta)
     np.testing.assert_array_equal(first.path, second.path)
     assert (first.path != other.path).any()
@@ -126,7 +129,8 @@ def _stage_blobs(evidence: Any, rows: Any) -> Any:
 
 
 def _tuning_stage() -> Any:
-    return plan_stages(Plan(tuning=(20, 20)), T)[1]
+    method = ParticleGibbs(tuning_sweeps=(20, 20), particles=25, transport_moves=6, data_rate=1)
+    return method.stages(T, RunOptions())[1]
 
 
 def test_a_lost_chain_is_found_and_restarted_from_the_best(rng, caplog):
@@ -162,8 +166,9 @@ def test_a_restarted_chain_is_a_copy_of_its_own():
     from pmcl.sampling.move import ParticleGibbsMove
 
     dtype = ParticleGibbsMove(bound).dtype
-    states = [start_chain(bound, SweepSettings("smoothing", 30), seed)[0] for seed in range(3)]
-    blobs = np.array([into_blob(state, dtype) for state in states], dtype=dtype)
+    starts = [start_chain(bound, SweepSettings("smoothing", 30), seed) for seed in range(3)]
+    states = [start.state for start in starts]
+    blobs = np.array([into_blob(start.state, start.info, dtype) for start in starts], dtype=dtype)
     coords, log_prob = np.array([s.theta for s in states]), np.array([s.log_joint for s in states])
     new = restarted(State(coords, log_prob=log_prob, blobs=blobs, random_state=None), {0: 2})
     np.testing.assert_array_equal(new.coords, coords[[2, 1, 2]])

@@ -135,9 +135,9 @@ def test_what_moves_return_belongs_together(which, rail, amigobot, rng):
     proposal = Proposal(0.3 * np.eye(theta.size), transform.to_line(theta), 0.4 * np.eye(theta.size))
     transport = replace(transport, proposal=proposal)
     made = transport_moves(bound, theta, tables, paths, transport, transform, 200, 1.0, sfc)
-    assert 0.02 < made.walked < 1.0
-    assert 0.02 < made.jumped < 1.0
-    assert made.refreshed > 0.1
+    assert 0.02 < made.walk_acceptance_rate < 1.0
+    assert 0.02 < made.jump_rate < 1.0
+    assert made.redraw_rate > 0.1
     exact = bound.log_prior(made.theta) + log_joint(bound.tables(made.theta)[0], made.paths[0])
     assert made.log_joint == pytest.approx(exact, rel=1e-10)
     np.testing.assert_array_equal(paths[0], transport.references[0])
@@ -149,9 +149,10 @@ def test_proposals_outside_the_prior_are_refused(amigobot, rng):
     tables = bound.tables(THETA)
     transform, sfc = Unconstrained(bound.parameters), make_rng(int(rng.integers(2**62)))
     far = transport_moves(bound, THETA, tables, [reference], transport, transform, 50, 1e3, sfc)
-    assert far.walked == 0.0
+    assert far.walk_acceptance_rate == 0.0
     np.testing.assert_array_equal(far.theta, THETA)
-    assert transport_moves(bound, THETA, tables, [reference], transport, transform, 50, 0.0, sfc).walked == 1.0
+    still = transport_moves(bound, THETA, tables, [reference], transport, transform, 50, 0.0, sfc)
+    assert still.walk_acceptance_rate == 1.0
 
 
 # The path redrawn in blocks from the linearised model

@@ -46,7 +46,7 @@ def test_the_documented_effect_can_be_simulated_and_calibrated():
         theta[-1] = pull
         values.append(row_densities(bound.tables(theta)[0], path).sum())
     assert values[1] > max(values[0], values[2]) + 3.0
-    draws = pmcl.calibrate(log, model, draws=100, chains=2, burn_in_particles=200, seed=1)
+    draws = pmcl.calibrate(log, model, draws=100, chains=2, method=pmcl.ParticleGibbs(burn_in_particles=200), seed=1)
     from pmcl.posterior.access import parameter_draws
 
     assert abs(np.median(parameter_draws(draws, "torque_steer")) - 0.6) < 0.3
