@@ -1,4 +1,4 @@
-"""One page about a criticism: the verdict in a sentence, where it shows, what explains it, and what was tried."""
+"""An HTML page about a criticism: the verdict, where it shows, which effects explain it, and what was tried."""
 
 from __future__ import annotations
 
@@ -7,155 +7,168 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pmcl.criticism.findings.result import Candidate, Criticism, Estimate, Step, Unexplained
+from pmcl.criticism.findings.verdict import channels_of, with_place
 from pmcl.criticism.judging.alarms import Alarm
-from pmcl.criticism.findings.result import Criticism, Estimate, Step, Unexplained
-from pmcl.criticism.findings.verdict import called, channels_of
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
 from pmcl.reports.html import Picture, page, picture, write_page
 
 __all__ = ["write_criticism_report"]
 
-# Position of the answer "yes" or "no" in the table of alarms.
+# Column of the answer "yes" or "no" in the table of alarms.
 _ALARM_COLUMN = 5
 
 
 def write_criticism_report(
-    found: Criticism, path: str | os.PathLike[str], commands: Sequence[tuple[str, str]] = ()
+    criticism: Criticism, path: str | os.PathLike[str], commands: Sequence[tuple[str, str]] = ()
 ) -> None:
-    """Write one self-contained HTML file about a criticism.
+    """Write a self-contained HTML file about a criticism.
 
     Parameters
     ----------
-    found : Criticism
-        From :func:`pmcl.criticism.workflow.criticize`.
+    criticism : Criticism
+        The result of :func:`pmcl.criticism.workflow.criticize`.
     path : path-like
-        An older file of that name stays whole until the new one is complete.
+        The file; an older file of that name is replaced only when the new one is complete.
     commands : sequence of (str, str), optional
-        What to do next: purposes and the commands for them.
+        Next steps for the user: purposes, and the commands for them.
 
     Raises
     ------
     PosteriorError
         If the file cannot be written.
     """
-    alarms = [(_stage(step.model), alarm) for step in found.steps for alarm in step.alarms]
+    alarms = [(_stage(step.model), alarm) for step in criticism.steps for alarm in step.alarms]
     text = page(
         "criticism.html.j2",
-        title=f"What the model of {found.log.dataset.attrs.get('robot') or 'the robot'} lacks",
-        subject=_subject(found),
-        verdict=found.verdict,
-        sentence=found.sentence,
-        good=found.verdict != "unknown effect",
-        effects=found.effects,
-        unexplained=[_unexplained_row(one, found) for one in found.unexplained],
-        notes=found.notes,
-        commands=commands if found.effects else (),
+        title=f"What the model of {criticism.log.dataset.attrs.get('robot') or 'the robot'} lacks",
+        subject=_subject(criticism),
+        verdict=criticism.verdict,
+        sentence=criticism.sentence,
+        good=criticism.verdict != "unknown effect",
+        effects=criticism.effects,
+        unexplained=[_unexplained_row(disagreement, criticism) for disagreement in criticism.unexplained],
+        notes=criticism.notes,
+        commands=commands if criticism.effects else (),
         number=_number,
-        called=called,
-        parameters=_parameters(found),
-        gaps=_gaps(found),
-        split=found.split,
+        with_place=with_place,
+        parameters=_parameters(criticism),
+        gaps=_gaps(criticism),
+        split=criticism.split,
         alarms=[_alarm_row(stage, alarm) for stage, alarm in alarms],
         raised=lambda row, column: column == _ALARM_COLUMN and alarms[row][1].raised,
-        pictures=_pictures(found),
-        rejected=[row for number, step in enumerate(found.steps) for row in _rejected_rows(number + 1, step)],
-        settings=sorted(found.settings.items()),
+        pictures=_pictures(criticism),
+        rejected=[row for number, step in enumerate(criticism.steps) for row in _rejected_rows(number + 1, step)],
+        settings=sorted(criticism.settings.items()),
     )
     write_page(text, path)
 
 
-def _subject(found: Criticism) -> str:
-    log = found.log
+def _subject(criticism: Criticism) -> str:
+    log = criticism.log
     length = f"{log.n_steps} rows over {log.times[-1] - log.times[0]:.0f} s, {log.n_readings} readings"
     return f"{log.where}; {length}." if log.where else f"{length}."
 
 
-def _unexplained_row(one: Unexplained, found: Criticism) -> tuple[str, ...]:
-    where = f"{_number(one.interval[0])} to {_number(one.interval[1])}" if one.covariate else "-"
-    rows = f"{one.time[0]} to {one.time[1]}"
-    channels = channels_of(one, found.log) or "all"
-    return (one.channel, channels, one.covariate or "-", one.moment, where, rows, _number(one.p_value))
+def _unexplained_row(disagreement: Unexplained, criticism: Criticism) -> tuple[str, ...]:
+    low, high = disagreement.interval
+    interval = f"{_number(low)} to {_number(high)}" if disagreement.covariate else "-"
+    return (
+        disagreement.channel,
+        channels_of(disagreement, criticism.log) or "all",
+        disagreement.covariate or "-",
+        disagreement.moment,
+        interval,
+        f"{disagreement.time[0]} to {disagreement.time[1]}",
+        _number(disagreement.p_value),
+    )
 
 
 def _alarm_row(stage: str, alarm: Alarm) -> tuple[str, ...]:
     worst = f"{alarm.worst.kind} {alarm.worst.channel}" if alarm.worst.channel >= 0 else str(alarm.worst.kind)
     raised = "yes" if alarm.raised else "no"
-    told = f"{worst} {alarm.worst.covariate}".strip()
-    return (stage, alarm.family, told, _number(alarm.z), _number(alarm.p_value), raised)
+    feature = f"{worst} {alarm.worst.covariate}".strip()
+    return (stage, alarm.family, feature, _number(alarm.z), _number(alarm.p_value), raised)
 
 
 def _rejected_rows(number: int, step: Step) -> list[tuple[str, ...]]:
-    rejected = [one for one in step.candidates if math.isfinite(one.log_score_gain) and not one.accepted]
+    rejected = [
+        candidate
+        for candidate in step.candidates
+        if math.isfinite(candidate.log_score_gain) and not candidate.accepted
+    ]
     if not rejected:
         return [(str(number), step.decision, "-", "", "", "")]
-    return [
-        (
-            str(number),
-            step.decision,
-            label_of(one),
-            _number(one.z),
-            f"{_number(one.fit_gain)} ± {_number(one.fit_gain_se)}",
-            f"{_number(one.log_score_gain)} ± {_number(one.log_score_gain_se)}",
-        )
-        for one in rejected
-    ]
+    return [_rejected_row(number, step, candidate) for candidate in rejected]
 
 
-def _pictures(found: Criticism) -> list[Picture]:
+def _rejected_row(number: int, step: Step, candidate: Candidate) -> tuple[str, ...]:
+    return (
+        str(number),
+        step.decision,
+        label_of(candidate),
+        _number(candidate.z),
+        f"{_number(candidate.fit_gain)} ± {_number(candidate.fit_gain_se)}",
+        f"{_number(candidate.log_score_gain)} ± {_number(candidate.log_score_gain_se)}",
+    )
+
+
+def _pictures(criticism: Criticism) -> list[Picture]:
     pictures = [
         picture(
-            plot_map(found),
+            plot_map(criticism),
             "Where on the map",
-            "The path, coloured by how badly readings were foreseen there. Dark stretches are where model and log "
+            "The path, coloured by how badly readings were predicted there. Dark stretches are where model and log "
             "disagree most.",
         ),
         picture(
-            plot_channels(found),
+            plot_channels(criticism),
             "Which channel, and when",
-            "Each line is a channel. Red: it read longer than foreseen, blue: shorter, in standard errors of the mean "
-            "of each cell. A line of one colour is a biased channel, a column a moment at which the pose was wrong.",
+            "Each line is a channel. Red: it read longer than predicted; blue: shorter, in standard errors of the mean "
+            "of each cell. A line of one colour shows a biased channel; a column of one colour shows a time at which "
+            "the pose was wrong.",
         ),
         picture(
-            plot_pit(found),
+            plot_pit(criticism),
             "Are predictions as uncertain as they should be?",
-            "Distribution of the probability integral transforms, minus the even one. A slope up and down is a bias, "
-            "an S a wrong spread; within the grey band nothing can be said.",
+            "Distribution of the probability integral transforms, minus the uniform one. One arch shows a bias, an S "
+            "shows a wrong spread; a curve within the grey band shows neither.",
         ),
     ]
-    for number, step in enumerate(found.steps):
+    for number, step in enumerate(criticism.steps):
         if not step.candidates:
             continue
         of = f"model with {' and '.join(step.model)}" if step.model else "base model"
         pictures.append(
             picture(
-                plot_candidates(found, number),
+                plot_candidates(criticism, number),
                 f"Candidates: scores of the {of}",
-                "How strongly the log asks for each effect, after the model's own parameters have explained what they "
-                "can. Bars beyond the dotted line are remarkable; the ranking decides only what is refitted.",
+                "How strongly the data point to each effect, after the model's own parameters have explained what they "
+                "can. Bars beyond the dotted line are significant. The ranking decides only what is refitted.",
             )
         )
-        if any(math.isfinite(one.log_score_gain) for one in step.candidates):
+        if any(math.isfinite(candidate.log_score_gain) for candidate in step.candidates):
             pictures.append(
                 picture(
-                    plot_gains(found, number),
+                    plot_gains(criticism, number),
                     f"Candidates: gains over the {of}",
-                    "What each refitted candidate is worth, with two standard errors. The fit part names the effect, "
-                    "the held-out part decides whether it is accepted.",
+                    "Gain of each refitted candidate, with two standard errors. The fit part chooses the effect; the "
+                    "held-out part decides whether it is accepted.",
                 )
             )
     return pictures
 
 
-def _parameters(found: Criticism) -> list[tuple[str, str, str, str]]:
+def _parameters(criticism: Criticism) -> list[tuple[str, str, str, str]]:
     rows = []
-    for name in dict.fromkeys([*found.before, *found.after]):
-        unit = (found.after.get(name) or found.before[name]).unit
-        told = [_estimate(estimates.get(name)) for estimates in (found.before, found.after)]
-        rows.append((name, "" if unit == "1" else unit, told[0], told[1]))
+    for name in dict.fromkeys([*criticism.before, *criticism.after]):
+        unit = (criticism.after.get(name) or criticism.before[name]).unit
+        before, after = _estimate(criticism.before.get(name)), _estimate(criticism.after.get(name))
+        rows.append((name, "" if unit == "1" else unit, before, after))
     return rows
 
 
-def _gaps(found: Criticism) -> list[tuple[str, str, str, str]]:
+def _gaps(criticism: Criticism) -> list[tuple[str, str, str, str]]:
     return [
         (
             _stage(step.model),
@@ -163,7 +176,7 @@ def _gaps(found: Criticism) -> list[tuple[str, str, str, str]]:
             f"{step.gap.pit_distance:.4f}",
             f"{100.0 * step.gap.coverage_90:.1f} %",
         )
-        for step in found.steps
+        for step in criticism.steps
     ]
 
 
@@ -172,8 +185,8 @@ def _stage(model: tuple[str, ...]) -> str:
     return f"+ {model[-1]}" if model else "base model"
 
 
-def _estimate(one: Estimate | None) -> str:
-    return "" if one is None else f"{replace(one, unit='1'):+}"
+def _estimate(estimate: Estimate | None) -> str:
+    return "" if estimate is None else f"{replace(estimate, unit='1'):+}"
 
 
 def _number(value: float) -> str:

@@ -7,8 +7,8 @@ import logging
 import numpy as np
 import pytest
 
-from pmcl.criticism.scoring.scored_log import score_log
 from pmcl.criticism.fitting.quick_fit import quick_fit
+from pmcl.criticism.scoring.scored_log import score_log
 from pmcl.criticism.scoring.scores import applicable, directions_of
 from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.registry import candidates
@@ -27,9 +27,10 @@ def log():
 def test_a_scored_pass_of_600_rows_8_beams_500_particles_50_candidates(benchmark, log):
     bound = default_model(log).bind(log)
     theta = np.array([THETA[name] for name in bound.names])
-    wanted = directions_of([one for one in candidates(log) if applicable(one, bound.tables(theta)[0], log)])[:CANDIDATES]
+    effects = [effect for effect in candidates(log) if applicable(effect, bound.tables(theta)[0], log)]
+    directions = directions_of(effects)[:CANDIDATES]
     settings = {"particles": 500, "paths": 15, "seed": 1}
-    found = benchmark.pedantic(score_log, (bound, theta, wanted), settings, rounds=5, warmup_rounds=1)
+    found = benchmark.pedantic(score_log, (bound, theta, directions), settings, rounds=5, warmup_rounds=1)
     assert found.scores.shape == (CANDIDATES, 600)
 
 

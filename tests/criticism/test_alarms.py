@@ -11,7 +11,7 @@ from scipy import stats
 
 from pmcl.criticism.judging.alarms import judge
 from pmcl.criticism.scoring.features import Feature
-from pmcl.criticism.scoring.scores import directions
+from pmcl.criticism.scoring.scores import directions_of
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
 
@@ -20,11 +20,11 @@ from pmcl.models.parameters import Parameter
 LOGS, CANDIDATES, FEATURES, OWN = 30, 20, 40, 4
 
 
-def _wanted():
+def _directions():
     def nothing(tables, values, log, where):
         return tables
 
-    return directions(
+    return directions_of(
         [
             Effect(f"e{k}", ".", (Parameter(f"p{k}", "1", stats.norm()),), (0.0,), nothing, typical={"clear": (1.0,)})
             for k in range(CANDIDATES)
@@ -32,7 +32,7 @@ def _wanted():
     )
 
 
-def _evidence(rng, shift=0.0, own=0.0):
+def _scored_log(rng, shift=0.0, own=0.0):
     """Scores that share a common part, and that the model's own parameters partly explain."""
     base = rng.standard_normal((OWN, 1)) * 3.0 + own
     mixing = np.sin(np.arange(CANDIDATES * OWN).reshape(CANDIDATES, OWN))
@@ -41,14 +41,14 @@ def _evidence(rng, shift=0.0, own=0.0):
     families = ("uniformity", "serial", "covariate", "fluctuation")
     features = tuple(Feature(families[k % 4], "range", covariate=str(k)) for k in range(FEATURES))
     numbers = rng.standard_normal(FEATURES) * 2.0 + 5.0
-    return SimpleNamespace(base=base, scores=scores, features=features, numbers=numbers)
+    return SimpleNamespace(parameter_scores=base, scores=scores, features=features, feature_values=numbers)
 
 
 def test_false_alarms_come_at_the_rate_asked_for(rng):
-    wanted, runs, alarms, own = _wanted(), 400, 0, []
+    directions, runs, alarms, own = _directions(), 400, 0, []
     for _ in range(runs):
-        found, null = _evidence(rng), [_evidence(rng) for _ in range(LOGS)]
-        judged = judge(found, null, wanted, level=0.05)
+        scored, simulated = _scored_log(rng), [_scored_log(rng) for _ in range(LOGS)]
+        judged = judge(scored, simulated, directions, level=0.05)
         alarms += bool(judged.raised)
         own.append(judged.z[0])
     # Four binomial standard deviations around 5 %; 9 % would be seen.
@@ -57,21 +57,24 @@ def test_false_alarms_come_at_the_rate_asked_for(rng):
 
 
 def test_an_effect_is_seen_and_is_the_worst(rng):
-    seen = [judge(_evidence(rng, 9.0), [_evidence(rng) for _ in range(LOGS)], _wanted(), level=0.05) for _ in range(20)]
+    seen = [
+        judge(_scored_log(rng, 9.0), [_scored_log(rng) for _ in range(LOGS)], _directions(), level=0.05)
+        for _ in range(20)
+    ]
     assert sum(one.raised[0].worst.kind == "e3" if one.raised else False for one in seen) >= 18
 
 
 def test_what_the_models_own_parameters_explain_is_projected_out(rng):
     """A bad fit of the model's own parameters moves every score, and is no missing effect."""
-    null = [_evidence(rng) for _ in range(LOGS)]
-    plain = [judge(_evidence(rng, own=6.0), null, _wanted(), level=0.05) for _ in range(40)]
+    simulated = [_scored_log(rng) for _ in range(LOGS)]
+    plain = [judge(_scored_log(rng, own=6.0), simulated, _directions(), level=0.05) for _ in range(40)]
     assert sum(bool(one.raised) for one in plain) <= 8
 
 
 @pytest.mark.parametrize("level", [0.01, 0.2])
 def test_level_is_respected(level, rng):
-    null = [_evidence(rng) for _ in range(LOGS)]
-    judged = judge(_evidence(rng), null, _wanted(), level=level)
+    simulated = [_scored_log(rng) for _ in range(LOGS)]
+    judged = judge(_scored_log(rng), simulated, _directions(), level=level)
     for alarm in judged.raised:
         assert alarm.p_value <= level
 
@@ -80,21 +83,21 @@ def _of_a_patch(rng, rows):
     """One candidate that is scored only in rows where the robot is at some place, and one that always is."""
     scores = rng.standard_normal((2, 100))
     scores[0, rows:] = 0.0
-    return SimpleNamespace(base=np.empty((0, 100)), scores=scores, features=(), numbers=np.empty(0))
+    return SimpleNamespace(parameter_scores=np.empty((0, 100)), scores=scores, features=(), feature_values=np.empty(0))
 
 
 def test_a_place_that_simulated_robots_hardly_visit_raises_no_alarm_by_itself(rng):
     """Of 30 simulated robots one is there for a moment; the log's own robot is there for a while."""
-    patch, other = _wanted()[:2]
-    wanted = (replace(patch, effect=replace(patch.effect, where={"place": (1.0, 2.0)})), other)
+    patch, other = _directions()[:2]
+    directions = (replace(patch, effect=replace(patch.effect, where={"place": (1.0, 2.0)})), other)
     z, elsewhere = [], []
     for _ in range(200):
-        null = [_of_a_patch(rng, int(k == 0)) for k in range(LOGS)]
-        found = _of_a_patch(rng, 8)
-        judged = judge(found, null, wanted, level=0.05)
+        simulated = [_of_a_patch(rng, int(k == 0)) for k in range(LOGS)]
+        scored = _of_a_patch(rng, 8)
+        judged = judge(scored, simulated, directions, level=0.05)
         # What simulated logs would say of it: a spread of a fifth of one row's.
         z.append(judged.z)
-        elsewhere.append(judge(found, null, (patch, other), level=0.05).z)
+        elsewhere.append(judge(scored, simulated, (patch, other), level=0.05).z)
     z, elsewhere = np.array(z), np.array(elsewhere)
     assert 0.8 < z[:, 0].std() < 1.2
     assert np.abs(z[:, 0]).max() < 4.0
@@ -103,15 +106,15 @@ def test_a_place_that_simulated_robots_hardly_visit_raises_no_alarm_by_itself(rn
 
 
 def test_a_place_that_half_of_the_simulated_robots_visit_is_judged_by_them(rng):
-    patch = _wanted()[0]
-    wanted = (replace(patch, effect=replace(patch.effect, where={"place": (1.0, 2.0)})),)
-    null = [_one(_of_a_patch(rng, 8 if k % 3 else 0)) for k in range(LOGS)]
-    found = _one(_of_a_patch(rng, 30))
+    patch = _directions()[0]
+    directions = (replace(patch, effect=replace(patch.effect, where={"place": (1.0, 2.0)})),)
+    simulated = [_one(_of_a_patch(rng, 8 if k % 3 else 0)) for k in range(LOGS)]
+    scored = _one(_of_a_patch(rng, 30))
     np.testing.assert_array_equal(
-        judge(found, null, wanted, level=0.05).z, judge(found, null, (patch,), level=0.05).z
+        judge(scored, simulated, directions, level=0.05).z, judge(scored, simulated, (patch,), level=0.05).z
     )
 
 
-def _one(evidence):
-    evidence.scores = evidence.scores[:1]
-    return evidence
+def _one(scored):
+    scored.scores = scored.scores[:1]
+    return scored

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.criticism.naming.formulas import filled_in, formulas, steady_changes, wave
+from pmcl.criticism.findings.assemble import filled_in
 from pmcl.criticism.naming.choice import contenders
+from pmcl.criticism.naming.formulas import formulas, steady_changes, wave
 from pmcl.criticism.workflow import criticize
 from pmcl.filtering.estimated_path import with_estimates
 from pmcl.models.effects.effect import Effect

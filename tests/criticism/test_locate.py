@@ -9,9 +9,9 @@ import pytest
 from scipy import special
 
 from pmcl.criticism.judging.alarms import Alarm, Judgement
+from pmcl.criticism.judging.locate import locate
 from pmcl.criticism.scoring.covariates import RowCovariates
 from pmcl.criticism.scoring.features import Feature
-from pmcl.criticism.judging.locate import locate
 from pmcl.criticism.workflow import criticize
 from pmcl.logs.robot_log import RobotLog
 from pmcl.simulations.landmark_field import simulate_landmark_field
@@ -21,7 +21,7 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 ROWS = 200
 
 
-def evidence(times, xi, channel=3):
+def scored_log(times, xi, channel=3):
     """What is known of the readings of one channel, deviations `xi` at rows `times`."""
     times = np.asarray(times)
     n = times.size
@@ -30,14 +30,14 @@ def evidence(times, xi, channel=3):
     )
     rows = RowCovariates(np.arange(ROWS) * 0.5, *np.zeros((5, ROWS)))
     readings = {"distance": np.linspace(1.0, 5.0, n)}
-    return SimpleNamespace(predictions=made, pit=special.ndtr(np.asarray(xi, dtype=float)), of_rows=rows,
-                           of_readings=readings)  # fmt: skip
+    return SimpleNamespace(predictions=made, pit=special.ndtr(np.asarray(xi, dtype=float)), row_covariates=rows,
+                           reading_covariates=readings)  # fmt: skip
 
 
 def located(times, xi, covariate="", channel=3):
     alarm = Alarm("uniformity", 1e-6, True, Feature("uniformity", "landmark_range", channel, covariate), 5.0)
     alarm = alarm._replace(worst=Feature("covariate", "landmark_range", channel, covariate))
-    return locate(alarm, evidence(times, xi), (), np.empty((0, ROWS)))
+    return locate(alarm, scored_log(times, xi), {})
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 9, 10, 15, 16, 17])
@@ -59,9 +59,9 @@ def test_few_readings_still_tell_when_it_was_worst():
 
 def test_a_covariate_that_is_unknown_everywhere_has_no_interval():
     alarm = Alarm("covariate", 1e-6, True, Feature("covariate", "landmark_range", 3, "distance"), 5.0)
-    found = evidence(np.arange(20), np.ones(20))
-    found.of_readings["distance"][:] = np.nan
-    assert np.isnan(locate(alarm, found, (), np.empty((0, ROWS))).interval).all()
+    scored = scored_log(np.arange(20), np.ones(20))
+    scored.reading_covariates["distance"][:] = np.nan
+    assert np.isnan(locate(alarm, scored, {}).interval).all()
 
 
 def test_p_values_of_what_is_unexplained_count_all_families():

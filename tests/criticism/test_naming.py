@@ -7,26 +7,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism import naming
-from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
 from pmcl.criticism.fitting.held_out import paired_gain
-from pmcl.criticism.naming import (
+from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
+from pmcl.criticism.fitting.trials import Trial, spare_effects, trial_of_base, try_effect
+from pmcl.criticism.naming import scan as scan_module
+from pmcl.criticism.naming.choice import (
     choose,
     confirmed_without_score,
     contenders,
     contenders_when_lost,
     leaders,
-    of_a_carrier,
-    of_the_sensors,
-    of_the_whole_robot,
-    scan,
-    shortlist,
-    untried,
-    untried_twins,
-    with_rules,
+    with_formulas,
 )
-from pmcl.criticism.scoring.scores import directions
-from pmcl.criticism.fitting.trials import Trial, spare_effects, trial_of_base, try_effect
+from pmcl.criticism.naming.scan import scan
+from pmcl.criticism.naming.shortlist import of_carrier, of_sensors, of_whole_robot, shortlist, untried, untried_twins
+from pmcl.criticism.scoring.scores import directions_of
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
@@ -38,22 +33,22 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 
 def test_twins_are_refitted_without_a_score_of_their_own():
     log = simulate_landmark_field(60, 1, bearings=True)
-    wanted = directions(candidates(log))
-    best, nothing = effect_named("odometry-side-drift", log), np.zeros(len(wanted))
-    twins = [effect.name for effect, _ in untried_twins(best, wanted, nothing, [])]
+    directions = directions_of(candidates(log))
+    best, nothing = effect_named("odometry-side-drift", log), np.zeros(len(directions))
+    twins = [effect.name for effect, _ in untried_twins(best, directions, nothing, [])]
     assert "sensor-yaw" in twins
     assert best.name not in twins
     assert len(set(twins)) == len(twins)
     tried = [SimpleNamespace(effect=effect_named("sensor-yaw", log))]
-    assert "sensor-yaw" not in [effect.name for effect, _ in untried_twins(best, wanted, nothing, tried)]
+    assert "sensor-yaw" not in [effect.name for effect, _ in untried_twins(best, directions, nothing, tried)]
 
 
 def test_of_a_twin_with_many_places_the_likeliest_is_refitted():
     log = simulate_landmark_field(60, 1, bearings=True)
-    wanted = directions(candidates(log))
+    directions = directions_of(candidates(log))
     best = effect_named("landmark-noise-correlated", log)
-    z = np.array([3.0 if one.effect.where.get("landmarks") == (5,) else 0.1 for one in wanted])
-    places = [(effect.where, value) for effect, value in untried_twins(best, wanted, z, []) if effect.where]
+    z = np.array([3.0 if one.effect.where.get("landmarks") == (5,) else 0.1 for one in directions])
+    places = [(effect.where, value) for effect, value in untried_twins(best, directions, z, []) if effect.where]
     assert ({"landmarks": (5,)}, 3.0) in [(dict(where), value) for where, value in places]
     assert all(value == 3.0 for where, value in places if "landmarks" in where)
 
@@ -95,14 +90,14 @@ def test_a_formula_replaces_a_name_that_it_clearly_beats_and_is_told_beside_one_
     for name, better, equal in (("odometry-arc", True, False), ("turn-noise-correlated", True, True)):
         best = made_trial(name, log, base + gain, base)
         clear = made_trial("odometry-side-drift", log, base + 1.2 * gain, base)
-        assert (with_rules(best, [], [clear], 3.0) == (clear, [])) is better
+        assert (with_formulas(best, [], [clear], 3.0) == (clear, [])) is better
         slight = made_trial("odometry-side-drift", log, base + gain + 0.01 - (noise - noise.mean()), base)
         assert slight.merit > best.merit
-        found, twins = with_rules(best, [], [slight], 3.0)
+        found, twins = with_formulas(best, [], [slight], 3.0)
         assert (found is slight) is equal
         assert twins == ([] if equal else [slight])
         worse = made_trial("odometry-side-drift", log, base + 0.5 * gain, base)
-        found, twins = with_rules(best, [], [worse], 3.0)
+        found, twins = with_formulas(best, [], [worse], 3.0)
         assert found is best
         assert twins == []
 
@@ -115,32 +110,32 @@ def test_nothing_is_refitted_twice():
     assert [effect.name for effect, _ in untried(offered, trials)] == ["landmark-range-bias"]
 
 
-def test_effects_of_the_whole_robot_are_those_without_a_place():
+def test_effects_of_whole_robot_are_those_without_a_place():
     log = simulate_amigobot(60.0, 1)
-    wanted = directions(candidates(log))
-    z = np.arange(len(wanted), dtype=float)
-    names = [effect.name for effect, _ in of_the_whole_robot(wanted, z)]
+    directions = directions_of(candidates(log))
+    z = np.arange(len(directions), dtype=float)
+    names = [effect.name for effect, _ in of_whole_robot(directions, z)]
     assert {"sensor-offset", "odometry-turn-scale", "range-bias", "wheel-slip"} <= set(names)
     assert not {"beam-bias", "wall-moved", "slippery-patch", "range-noise-correlated"} & set(names)
     assert len(set(names)) == len(names)
-    found = [deviation for _, deviation in of_the_whole_robot(wanted, z)]
+    found = [deviation for _, deviation in of_whole_robot(directions, z)]
     assert found == sorted(found, reverse=True)
-    moving = [effect for effect, _ in of_a_carrier(wanted, z, "motion")]
+    moving = [effect for effect, _ in of_carrier(directions, z, "motion")]
     assert {"turn-noise-grows-with-turn", "odometry-arc"} < {effect.name for effect in moving}
     assert "slippery-patch" not in {effect.name for effect in moving}
     assert {effect.carrier for effect in moving} == {"motion"}
-    z = np.array([9.0 if one.effect.where.get("beams") in {(2,), (6,)} else 1.0 for one in wanted])
-    sensing = [effect for effect, _ in of_the_sensors(wanted, z)]
+    z = np.array([9.0 if one.effect.where.get("beams") in {(2,), (6,)} else 1.0 for one in directions])
+    sensing = [effect for effect, _ in of_sensors(directions, z)]
     assert sorted(effect.where["beams"] for effect in sensing if effect.name == "dead-beam") == [(2,), (6,)]
     assert not {"motion", "map"} & {effect.carrier for effect in sensing}
 
 
 def test_what_can_only_be_there_or_not_is_sought_in_the_whole_robot_where_it_has_a_score():
     log = simulate_amigobot(60.0, 1)
-    wanted = directions(candidates(log))
+    directions = directions_of(candidates(log))
 
     def names(z):
-        return {effect.name for effect, _ in of_the_whole_robot(wanted, np.full(len(wanted), z))}
+        return {effect.name for effect, _ in of_whole_robot(directions, np.full(len(directions), z))}
 
     assert names(0.5) < names(1.5)
     assert {"odometry-turn-bias", "sensor-yaw", "range-scale"} <= names(0.0)
@@ -149,16 +144,16 @@ def test_what_can_only_be_there_or_not_is_sought_in_the_whole_robot_where_it_has
 
 def test_what_the_whole_log_speaks_for_is_refitted_though_others_come_first_in_the_fit_part():
     log = simulate_amigobot(60.0, 1)
-    wanted = directions(candidates(log))
-    position = {one.effect.name: k for k, one in enumerate(wanted)}
-    early, whole = np.zeros(len(wanted)), np.zeros(len(wanted))
+    directions = directions_of(candidates(log))
+    position = {one.effect.name: k for k, one in enumerate(directions)}
+    early, whole = np.zeros(len(directions)), np.zeros(len(directions))
     first = ("odometry-arc", "odometry-turn-bias", "sensor-yaw", "range-scale", "random-readings", "wheel-slip")
     for k, name in enumerate((*first, "turn-noise-correlated", "heavy-tailed-motion-noise")):
         early[position[name]] = 8.0 - k
     late = position["heavy-tailed-motion-noise"]
 
     def named():
-        return [effect.name for effect, _ in shortlist(wanted, early, {}, SimpleNamespace(z=whole, critical_z=3.3))]
+        return [effect.name for effect, _ in shortlist(directions, early, {}, SimpleNamespace(z=whole, critical_z=3.3))]
 
     usual = [*first[:4], "random-readings", "turn-noise-correlated"]
     assert named() == usual
@@ -228,29 +223,29 @@ def test_leaders_are_close_to_the_first_and_gain_something():
 
 def test_a_scan_goes_to_the_likeliest_places_and_the_side_that_a_remarkable_score_tells(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
-    bound, wanted, runs = default_model(log).bind(log), directions(candidates(log)), []
+    bound, directions, runs = default_model(log).bind(log), directions_of(candidates(log)), []
 
     def counted(tables, rows, particles, rng):
         runs.append(rows)
         return SimpleNamespace(log_increments=np.full(rows, -10.0 if rows < log.n_steps else 0.0))
 
-    monkeypatch.setattr(naming, "run_filter", counted)
-    whole = [k for k, one in enumerate(wanted) if not one.effect.where]
-    one_sided = sum(wanted[k].one_sided for k in whole)
-    somewhere = {one.effect.name: 1 if one.effect.shape else 2 for one in wanted if one.effect.where}
+    monkeypatch.setattr(scan_module, "run_filter", counted)
+    whole = [k for k, one in enumerate(directions) if not one.effect.where]
+    one_sided = sum(directions[k].one_sided for k in whole)
+    somewhere = {one.effect.name: 1 if one.effect.shape else 2 for one in directions if one.effect.where}
     places = sum(somewhere.values())
 
     def runs_with(z):
         runs.clear()
-        gains = scan(bound, bound.prior_mean(), wanted, z, 0, 100)
+        gains = scan(bound, bound.prior_mean(), directions, z, 0, 100)
         # What loses so much at once is followed no further; the base model is.
         assert sum(rows == log.n_steps for rows in runs) <= 1
         return len(gains), sum(rows < log.n_steps for rows in runs)
 
-    assert runs_with(np.zeros(len(wanted))) == (0, 0)
-    assert runs_with(np.full(len(wanted), -7.0)) == (len(whole) + places, len(whole) + places)
-    alone = np.zeros(len(wanted))
-    alone[next(k for k, one in enumerate(wanted) if one.effect.where and not one.one_sided)] = 7.0
+    assert runs_with(np.zeros(len(directions))) == (0, 0)
+    assert runs_with(np.full(len(directions), -7.0)) == (len(whole) + places, len(whole) + places)
+    alone = np.zeros(len(directions))
+    alone[next(k for k, one in enumerate(directions) if one.effect.where and not one.one_sided)] = 7.0
     assert runs_with(alone) == (len(whole) + 1, 2 * len(whole) - one_sided + 1)
 
 

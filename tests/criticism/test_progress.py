@@ -9,8 +9,8 @@ import time
 import pytest
 
 from pmcl.criticism import progress
-from pmcl.criticism.judging.judged_log import Settings
 from pmcl.criticism.progress import Progress
+from pmcl.criticism.settings import Settings
 
 # mypy: disable-error-code="no-untyped-def"
 

@@ -11,14 +11,14 @@ from oracles import kalman
 from oracles.random_walk_model import rail_log, rail_model
 from scipy import stats
 
-from pmcl.criticism import scores
-from pmcl.criticism.scoring.scores import base_rows, directions, effect_rows
+from pmcl.criticism.scoring.scores import directions_of, effect_scores, parameter_scores
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensors.range_beams import scoring
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
@@ -53,14 +53,15 @@ def cart():
     bound = rail_model().bind(log)
     tables = bound.tables(THETA)[0]
     scores = []
-    wanted = directions((PUSH, NOISE))
+    directions = directions_of((PUSH, NOISE))
     for seed in range(30):
         rng = make_rng(seed)
         paths = draw_paths(tables, run_filter(tables, 25, 500, rng), 60, rng)
         columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
-        rows = np.concatenate([base_rows(bound, THETA, columns), effect_rows(tables, log, columns, wanted)])
+        of_effects = effect_scores(tables, log, columns, directions)
+        rows = np.concatenate([parameter_scores(bound, THETA, columns), of_effects])
         scores.append(rows.sum(axis=1))
-    return kalman.linear_model(tables), np.array(scores), wanted
+    return kalman.linear_model(tables), np.array(scores), directions
 
 
 def _agree(draws, exact):
@@ -80,21 +81,21 @@ def test_scores_of_own_parameters_are_gradients_of_the_evidence(cart, which):
 
 
 def test_score_of_an_effect_is_the_gradient_of_the_evidence(cart):
-    model, scores, wanted = cart
+    model, scores, directions = cart
     step = 1e-4
     ahead, behind = (
         kalman.log_evidence(model._replace(control=model.control + sign * step), *THETA) for sign in (1.0, -1.0)
     )
     # The log density of a path is quadratic in a push, so its central difference is its slope.
-    assert wanted[0].above[0] == pytest.approx(-wanted[0].below[0])
-    _agree(scores[:, 2], (ahead - behind) / (2.0 * step) * wanted[0].above[0])
+    assert directions[0].above[0] == pytest.approx(-directions[0].below[0])
+    _agree(scores[:, 2], (ahead - behind) / (2.0 * step) * directions[0].above[0])
 
 
 def test_effects_with_one_side_are_compared_with_none(cart):
-    _, scores, wanted = cart
-    assert wanted[1].one_sided
-    assert wanted[1].below[0] == 0.0
-    assert wanted[1].above[0] == pytest.approx(0.2)
+    _, scores, directions = cart
+    assert directions[1].one_sided
+    assert directions[1].below[0] == 0.0
+    assert directions[1].above[0] == pytest.approx(0.2)
     assert np.all(np.isfinite(scores[:, 3]))
 
 
@@ -109,9 +110,9 @@ def test_beams_that_stay_the_same_are_skipped_without_a_difference(present):
     paths = np.array([log.dataset["true_pose"].values + 0.01 * k for k in range(3)])
     columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
     # Every effect of the sensors: of one beam or all, of rays, of the map, of when readings are made.
-    wanted = directions([effect for effect in candidates(log) if effect.carrier != "motion"])
-    assert len(wanted) > 50
-    for direction, row in zip(wanted, effect_rows(tables, log, columns, wanted), strict=True):
+    directions = directions_of([effect for effect in candidates(log) if effect.carrier != "motion"])
+    assert len(directions) > 50
+    for direction, row in zip(directions, effect_scores(tables, log, columns, directions), strict=True):
         above = direction.effect.edit(tables, direction.above, log)
         below = tables if direction.one_sided else direction.effect.edit(tables, direction.below, log)
         whole = smc.sensor_terms(above.sensors[0], columns) - smc.sensor_terms(below.sensors[0], columns)
@@ -131,11 +132,11 @@ def test_an_effect_of_one_beam_costs_one_beam(monkeypatch):
     def counted(calls, function):
         return lambda table, *given: calls.append(len(table.bias)) or function(table, *given)
 
-    monkeypatch.setattr(scores, "terms_given_rays", counted(seen, scores.terms_given_rays))
-    monkeypatch.setattr(scores, "rays_along", counted(rays, scores.rays_along))
-    effect_rows(tables, log, columns, directions([known["beam-bias"]]))
+    monkeypatch.setattr(scoring, "terms_given_rays", counted(seen, scoring.terms_given_rays))
+    monkeypatch.setattr(scoring, "rays_along", counted(rays, scoring.rays_along))
+    effect_scores(tables, log, columns, directions_of([known["beam-bias"]]))
     assert seen == [1, 1]
-    effect_rows(tables, log, columns, directions([known["beam-bias"], known["range-bias"], known["dead-beam"]]))
+    effect_scores(tables, log, columns, directions_of([known["beam-bias"], known["range-bias"], known["dead-beam"]]))
     assert rays == [8, 8]  # once for each call, however many effects there are
 
 
@@ -147,9 +148,9 @@ def test_landmarks_that_stay_the_same_are_skipped_without_a_difference(present):
     tables = bound.tables(bound.prior_mean())[0]
     paths = np.array([log.dataset["true_pose"].values + 0.01 * k for k in range(3)])
     columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
-    wanted = directions([effect for effect in candidates(log) if effect.name == "landmark-moved"])
-    assert len(wanted) > 5
-    for direction, row in zip(wanted, effect_rows(tables, log, columns, wanted), strict=True):
+    directions = directions_of([effect for effect in candidates(log) if effect.name == "landmark-moved"])
+    assert len(directions) > 5
+    for direction, row in zip(directions, effect_scores(tables, log, columns, directions), strict=True):
         edited = [direction.effect.edit(tables, values, log) for values in (direction.above, direction.below)]
         above, below = (smc.sensor_terms(one.sensors[0], columns) for one in edited)
         np.testing.assert_allclose(row, 0.5 * (above - below).mean(axis=0), atol=1e-9)
@@ -169,8 +170,8 @@ def test_an_effect_of_one_landmark_costs_its_sightings_unless_others_may_be_mean
         smc, "sensor_terms", lambda table, paths: counted.append(table.landmark.size) or terms(table, paths)
     )
     everything = tables.sensors[0].landmark.size
-    effect_rows(tables, log, columns, directions([moved]))
+    effect_scores(tables, log, columns, directions_of([moved]))
     assert all(0 < count < everything / 2 for count in counted)
     counted.clear()
-    effect_rows(known["landmark-misread"].edit(tables, [0.1], log), log, columns, directions([moved]))
+    effect_scores(known["landmark-misread"].edit(tables, [0.1], log), log, columns, directions_of([moved]))
     assert set(counted) == {everything}

@@ -8,13 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism import passes, search
-from pmcl.criticism.fitting.quick_fit import GLANCE, quick_fit
 from pmcl.criticism.fitting.held_out import Gain
-from pmcl.criticism.naming import worth_it
-from pmcl.criticism.judging.judged_log import Settings
-from pmcl.criticism.naming.search import Outcome, Search
+from pmcl.criticism.fitting.quick_fit import GLANCE, quick_fit
 from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.judging import judged_log
+from pmcl.criticism.naming import lost_robot, refits, search
+from pmcl.criticism.naming.choice import worth_it
+from pmcl.criticism.naming.formula_trials import FormulaTrials
+from pmcl.criticism.naming.refits import Refits
+from pmcl.criticism.naming.search import Outcome, Search
+from pmcl.criticism.naming.shortlist import RankedEffect
+from pmcl.criticism.scoring.scores import directions_of
+from pmcl.criticism.settings import Settings
 from pmcl.errors import FilterError
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
@@ -69,11 +74,11 @@ def test_a_refit_is_kept_for_the_part_of_the_log_that_it_was_made_on(monkeypatch
         splits.append(split)
         return made(effect, z)
 
-    monkeypatch.setattr(search, "try_effect", tried)
-    one, effect, current = Search(log, (), SETTINGS), effect_named("odometry-arc", log), made(None, 0.0)
+    monkeypatch.setattr(refits, "try_effect", tried)
+    refitting, effect, current = Refits(log, SETTINGS, 36), effect_named("odometry-arc", log), made(None, 0.0)
     for split, z in ((36, 4.0), (36, 5.0), (48, 6.0), (36, 7.0)):
-        one.split = split
-        (trial,) = one._tried(current, [(effect, z)])
+        refitting.split = split
+        (trial,) = refitting.refit(current, [RankedEffect(effect, z)])
         assert trial.z == z
     assert splits == [36, 48]
 
@@ -82,16 +87,16 @@ def test_only_the_likeliest_are_refitted_where_not_everything_is_to_be_searched(
     log = simulate_landmark_field(60, 1, bearings=True)
     one, current = without_candidates(log)
     judgement = SimpleNamespace(z=np.zeros(0), critical_z=3.0, p_value=1e-4)
-    monkeypatch.setattr(one, "_elsewhere", lambda *_: "found elsewhere")
-    assert one.named(SimpleNamespace(judgement=judgement), current, False) == Outcome(None, None, [])
+    monkeypatch.setattr(one, "_search_further", lambda *_: "searched further")
+    assert one.explain(SimpleNamespace(judgement=judgement), current, False) == Outcome(None, None, [])
     monkeypatch.setattr(one, "comes_late", lambda last: False)
-    assert one.named(SimpleNamespace(judgement=judgement), current) == "found elsewhere"
+    assert one.explain(SimpleNamespace(judgement=judgement), current) == "searched further"
     judgement.p_value = 0.04
-    assert one.named(SimpleNamespace(judgement=judgement), current) == Outcome(None, None, [])
+    assert one.explain(SimpleNamespace(judgement=judgement), current) == Outcome(None, None, [])
 
 
 @pytest.mark.parametrize(("z", "everywhere", "expected"), [
-    (5.0, True, "accepted"), (9.0, True, "found elsewhere"), (9.0, False, "accepted"),
+    (5.0, True, "accepted"), (9.0, True, "searched further"), (9.0, False, "accepted"),
 ])  # fmt: skip
 def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(monkeypatch, z, everywhere, expected):
     """30 nats are more than 5^2 / 2, and less than 9^2 / 2."""
@@ -100,13 +105,13 @@ def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(mo
     best = replace(current, effect=effect_named("odometry-arc", log), on_fit=Gain(20.0, 5.0),
                    on_heldout=Gain(10.0, 4.0), on_all=Gain(30.0, 6.0))  # fmt: skip
     assert best.confirmed
-    monkeypatch.setattr(one, "_tried", lambda current, chosen, *_: [best] if chosen == "likeliest" else [])
+    monkeypatch.setattr(one.refits, "refit", lambda current, chosen, *_: [best] if chosen == "likeliest" else [])
     monkeypatch.setattr(search, "shortlist", lambda *_, **__: "likeliest")
-    monkeypatch.setattr(one, "_rules", lambda *_: None)
-    monkeypatch.setattr(one, "_beside_rules", lambda *_: "accepted")
-    monkeypatch.setattr(one, "_elsewhere", lambda *_: "found elsewhere")
+    monkeypatch.setattr(one, "_formula_trials", lambda *_: None)
+    monkeypatch.setattr(one, "_beside_formulas", lambda *_: "accepted")
+    monkeypatch.setattr(one, "_search_further", lambda *_: "searched further")
     judgement = SimpleNamespace(z=np.zeros(0), critical_z=3.0, p_value=1e-9, raised=(SimpleNamespace(z=-z),))
-    assert one.named(SimpleNamespace(judgement=judgement), current, everywhere) == expected
+    assert one.explain(SimpleNamespace(judgement=judgement), current, everywhere) == expected
 
 
 @pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
@@ -132,12 +137,12 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
     fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
     found = iter([[made("heavy-tailed-motion-noise", motion)], [made("landmark-misread", sensor)]])
     base = Trial(None, None, fit, np.zeros(log.n_steps), 0.0, *(3 * [Gain(0.0, 0.0)]))
-    monkeypatch.setattr(search, "trial_of_base", lambda *_, **__: base)
-    monkeypatch.setattr(search, "quick_fit", lambda bound, *_, **__: bound)
-    one = Search(log, candidates(log), SETTINGS)
-    monkeypatch.setattr(one, "_tried", lambda *_, **__: next(found))
-    monkeypatch.setattr(one, "_settled", lambda current, trials: trials)
-    outcome = one.found_again(fit, follow)
+    monkeypatch.setattr(refits, "trial_of_base", lambda *_, **__: base)
+    monkeypatch.setattr(lost_robot, "quick_fit", lambda bound, *_, **__: bound)
+    refitting = Refits(log, SETTINGS, int(search.FIT_SHARE * log.n_steps))
+    monkeypatch.setattr(refitting, "refit", lambda *_, **__: next(found))
+    monkeypatch.setattr(refitting, "refit_leaders", lambda current, trials: trials)
+    outcome = lost_robot.recover(fit, directions_of(candidates(log)), refitting, follow)
     assert (outcome is not None) is named
     assert follows == [*(["heavy-tailed-motion-noise"] if motion else []), *(["landmark-misread"] if named else [])]
 
@@ -148,30 +153,30 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
     gain = Gain(40.0, 5.0)
     heldout = gain if confirmed else Gain(-5.0, 5.0)
     rows = np.zeros(log.n_steps)
-    rule = Trial(effect_named("odometry-arc", log), None, None, rows, 9.0, gain, heldout, gain)
+    formula = Trial(effect_named("odometry-arc", log), None, None, rows, 9.0, gain, heldout, gain)
     one, last = Search(log, (), SETTINGS), SimpleNamespace(judgement=SimpleNamespace(critical_z=3.0))
     one.judged = SimpleNamespace(z=np.zeros(0))
-    monkeypatch.setattr(one, "_rules", lambda *_: search._Rules([rule], (), last.judgement, 3.0))
-    monkeypatch.setattr(one, "_tried", lambda current, chosen, rivals: seen.append(rivals) or [])
+    monkeypatch.setattr(one, "_formula_trials", lambda *_: FormulaTrials([formula], (), last.judgement, 3.0))
+    monkeypatch.setattr(one.refits, "refit", lambda current, chosen, rivals: seen.append(rivals) or [])
     monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
-    outcome = one._elsewhere(last, rule, [])
-    assert seen == [[rule] if confirmed else []]
-    assert outcome.accepted is (rule if confirmed else None)
-    assert outcome.trials == [rule]
+    outcome = one._search_further(last, formula, [])
+    assert seen == [[formula] if confirmed else []]
+    assert outcome.accepted is (formula if confirmed else None)
+    assert outcome.trials == [formula]
 
 
 def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
     fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
-    made, gather = [], passes.gather
+    made, score_log = [], judged_log.score_log
 
     def lost_in_the_third(bound, *given, **settings):
         made.append(bound)
         if len(made) < 3:
-            return gather(bound, *given, **settings)
+            return score_log(bound, *given, **settings)
         raise FilterError("particle filter: at row 12 every particle has weight zero", row=12)
 
-    monkeypatch.setattr(passes, "gather", lost_in_the_third)
+    monkeypatch.setattr(judged_log, "score_log", lost_in_the_third)
     with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
-        passes.criticised(log, fit, (), 36, SETTINGS)
+        judged_log.judge_log(log, fit, (), 36, SETTINGS)
     assert str(caught.value).startswith(log.where)

@@ -9,7 +9,7 @@ import pytest
 from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
 
 from pmcl.criticism.findings.result import Estimate, FoundEffect, Unexplained
-from pmcl.criticism.findings.verdict import UNKNOWN, called, sentence_of, told
+from pmcl.criticism.findings.verdict import UNKNOWN, finding_of, sentence_of, with_place
 from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect
 
@@ -48,7 +48,7 @@ def test_every_effect_of_the_catalogue_says_what_was_measured(name):
     log = log_for(BY_NAME[name])
     effect = instance(BY_NAME[name], log)
     values = effect.magnitude("large")
-    text = told(found(effect, values), log)
+    text = finding_of(found(effect, values), log)
     assert effect.finding, "an effect of the catalogue says what it found"
     assert not re.search(r"[{}|]", text)
     assert text.endswith(f" ({name})")
@@ -58,14 +58,14 @@ def test_every_effect_of_the_catalogue_says_what_was_measured(name):
         if not effect.one_sided(k):
             turned = values.copy()
             turned[k] = -values[k]
-            assert told(found(effect, turned), log) != text
+            assert finding_of(found(effect, turned), log) != text
 
 
 def test_a_finding_names_its_place_and_its_twins():
     log = sonar_log()
     effect = BY_NAME["beam-bias"].at({"beams": (2,)}, log)
-    assert called(effect) == "beam-bias (beam 2)"
-    text = told(found(effect, [-0.06], ("beam-yaw (beam 2)",)), log)
+    assert with_place(effect) == "beam-bias (beam 2)"
+    text = finding_of(found(effect, [-0.06], ("beam-yaw (beam 2)",)), log)
     assert text == (
         "beam 2 reads 0.0600 ± 0.0030 m too short (beam-bias; this log cannot tell it from beam-yaw (beam 2))"
     )
@@ -76,7 +76,7 @@ def test_landmarks_are_called_by_their_names_in_the_log():
     names = [f"L{k}" for k in range(len(log.dataset.landmark))]
     named = replace(log, dataset=log.dataset.assign_coords(landmark=names))
     effect = BY_NAME["landmark-moved"].at({"landmarks": (3,)}, log)
-    assert told(found(effect, [0.3, -0.2]), named).startswith(
+    assert finding_of(found(effect, [0.3, -0.2]), named).startswith(
         "landmark L3 stands 0.300 ± 0.015 m along x and -0.200 ± 0.010 m along y from its place on the map"
     )
 
@@ -85,7 +85,7 @@ def test_landmarks_without_names_are_counted():
     log = field_log()
     nameless = replace(log, dataset=log.dataset.drop_vars("landmark", errors="ignore"))
     effect = BY_NAME["landmark-moved"].at({"landmarks": (3,)}, log)
-    assert told(found(effect, [0.3, -0.2]), nameless).startswith("landmark 3 stands")
+    assert finding_of(found(effect, [0.3, -0.2]), nameless).startswith("landmark 3 stands")
 
 
 @pytest.mark.parametrize("finding", ["all beams read {1} too long", "{0} of {7:%}", "beam {beams} reads {0}"])
@@ -98,7 +98,7 @@ def test_a_finding_about_what_is_not_there_is_refused_at_once(finding):
 
 def test_an_effect_without_a_finding_is_told_by_summary_and_values():
     effect = replace(BY_NAME["range-bias"], finding="")
-    assert told(found(effect, [-0.04]), sonar_log()) == (
+    assert finding_of(found(effect, [-0.04]), sonar_log()) == (
         "range-bias: All beams read too long (or too short) by the same length (range_bias = -0.0400 ± 0.0020 m)"
     )
 

@@ -7,9 +7,10 @@ import pytest
 from scipy import stats
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
+from pmcl.criticism.judging.judged_log import judge_log
 from pmcl.criticism.naming.formulas import steady_changes, wave
-from pmcl.criticism.judging.judged_log import Settings, criticised
 from pmcl.criticism.naming.waves import remarkable_waves
+from pmcl.criticism.settings import Settings
 from pmcl.criticism.workflow import criticize
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
@@ -41,7 +42,7 @@ def _log(size, seed=3):
 def _waves(log):
     fit = quick_fit(default_model(log).bind(log), 1, effort=BRIEF)
     split = int(0.6 * log.n_steps)
-    judged = criticised(log, fit, (), split, SETTINGS)
+    judged = judge_log(log, fit, (), split, SETTINGS)
     return remarkable_waves(judged, log, fit.tables, split, SETTINGS)
 
 

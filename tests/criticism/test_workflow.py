@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from pmcl.criticism import workflow
+from pmcl.criticism import loop
 from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import CriticismError, FilterError, PmclError, PosteriorError
@@ -143,21 +143,21 @@ def test_an_effect_that_begins_after_the_fit_part_is_named_on_a_longer_one():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("doubted", [True, False])
-def test_a_doubtful_alarm_is_looked_at_again_before_everything_is_searched(monkeypatch, doubted):
+def test_an_alarm_in_doubt_is_judged_again_before_everything_is_searched(monkeypatch, doubted):
     done = []
 
-    def named(search, last, current, everywhere=True):
-        done.append("everywhere" if everywhere else "the likeliest")
+    def explain(search, last, current, thorough=True):
+        done.append("everywhere" if thorough else "the likeliest")
         return Outcome(None, None, [])
 
-    def looked_again(search, last):
+    def judge_again(search, last):
         done.append("again")
         return last
 
-    monkeypatch.setattr(Search, "named", named)
-    monkeypatch.setattr(Search, "looked_again", looked_again)
+    monkeypatch.setattr(Search, "explain", explain)
+    monkeypatch.setattr(Search, "judge_again", judge_again)
     monkeypatch.setattr(Search, "comes_late", lambda search, last: False)
-    monkeypatch.setattr(workflow, "in_doubt", lambda judgement: doubted)
+    monkeypatch.setattr(loop, "in_doubt", lambda judgement: doubted)
     result = small(hidden("beam-bias@2=0.1", 120.0), rounds=1)
     assert done == (["the likeliest", "again"] if doubted else []) + ["everywhere"]
     assert not result.effects
@@ -165,14 +165,14 @@ def test_a_doubtful_alarm_is_looked_at_again_before_everything_is_searched(monke
 
 @pytest.mark.slow
 def test_a_filter_that_is_lost_without_an_effect_finds_the_robot_with_it(monkeypatch):
-    follow = workflow.particles_that_follow
+    follow = loop.particles_that_follow
 
     def lost_without(bound, theta, particles, seed, **patience):
         if "turn_noise_grows_with_turn" not in bound.names:
             raise FilterError("made: the filter loses the robot at t=77 s; restart with more particles")
         return follow(bound, theta, particles, seed, **patience)
 
-    monkeypatch.setattr(workflow, "particles_that_follow", lost_without)
+    monkeypatch.setattr(loop, "particles_that_follow", lost_without)
     result = small(hidden("turn-noise-grows-with-turn=0.5"))
     assert result.effects[0].name == "turn-noise-grows-with-turn"
     assert "without turn-noise-grows-with-turn the filter loses the robot at t=77 s" in result.notes

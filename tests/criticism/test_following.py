@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmcl.criticism import guard
+from pmcl.criticism.fitting import following
 from pmcl.criticism.fitting.following import lost_at, particles_that_follow
 from pmcl.errors import FilterError
 from pmcl.filtering.one_step_ahead import Predictions, predict_readings
@@ -46,7 +46,7 @@ def test_no_more_particles_are_taken_than_follow(log, monkeypatch, needed, used)
             raise FilterError("lost")
         return predict_readings(tables, n_steps, 300, rng)
 
-    monkeypatch.setattr(guard, "predict_readings", predicted)
+    monkeypatch.setattr(following, "predict_readings", predicted)
     bound = default_model(log).bind(log)
     theta = np.array([NOISE[name] for name in bound.names])
     if used is None:
@@ -67,7 +67,7 @@ def test_where_large_filters_differ_a_larger_one_may_confirm_the_first(log, monk
             raise FilterError("lost")
         return predict_readings(tables, n_steps, 300, rng)
 
-    monkeypatch.setattr(guard, "predict_readings", predicted)
+    monkeypatch.setattr(following, "predict_readings", predicted)
     bound = default_model(log).bind(log)
     theta = np.array([NOISE[name] for name in bound.names])
     with pytest.raises(FilterError, match="loses the robot at t=0 s"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmcl.criticism import fit
+from pmcl.criticism.fitting import quick_fit as quick_fit_module
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
 from pmcl.errors import ModelError
 from pmcl.models.effects.selection import effect_named
@@ -73,8 +73,8 @@ def test_a_component_that_the_path_lacks_starts_at_zero():
 
 def test_a_fit_that_goes_on_from_draws_finds_the_same_in_fewer_sweeps(log, monkeypatch):
     swept = []
-    step = fit.step
-    monkeypatch.setattr(fit, "step", lambda *given: swept.append(1) or step(*given))
+    step = quick_fit_module.step
+    monkeypatch.setattr(quick_fit_module, "step", lambda *given: swept.append(1) or step(*given))
     bound = default_model(log).bind(log)
     before = quick_fit(bound, 1, effort=BRIEF)
     swept.clear()

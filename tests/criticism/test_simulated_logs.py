@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.criticism import replicate
-from pmcl.criticism.scoring.covariates import incidence
+from pmcl.criticism.scoring import simulated_logs
 from pmcl.criticism.scoring.simulated_logs import replicated_log
 from pmcl.filtering.kernels.smc import sensor_terms
 from pmcl.filtering.kernels.steering import steered_path
@@ -15,6 +14,7 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motions.increments.motion import increment_residuals
 from pmcl.models.robot_model import default_model
+from pmcl.models.sensors.range_beams.along_path import incidence
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
@@ -58,7 +58,7 @@ def test_the_log_holds_the_commands_that_were_followed_and_what_was_read_on_the_
         drives.append(steered_path(*arguments))
         return drives[-1]
 
-    monkeypatch.setattr(replicate, "steered_path", steered)
+    monkeypatch.setattr(simulated_logs, "steered_path", steered)
     bound = default_model(log).bind(log)
     theta = np.array([log.true_theta[name] for name in bound.names])
     made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))

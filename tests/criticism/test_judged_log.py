@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism import passes
+from pmcl.criticism.judging import judged_log
+from pmcl.criticism.settings import Settings
 
 # mypy: disable-error-code="no-untyped-def"
 
-SETTINGS = passes.Settings(
+SETTINGS = Settings(
     particles=100, seed=0, level=0.05, simulations=30, paths=5, workers=1, progress=False
 )
 
@@ -22,24 +23,24 @@ SETTINGS = passes.Settings(
 def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, first, second, logs):
     asked, seeds = [], []
 
-    def judged(found, null, wanted, split, settings):
+    def judged(scored, simulated, directions, split, settings):
         p_value = first if not asked else second
-        asked.append(len(null))
+        asked.append(len(simulated))
         judgement = SimpleNamespace(p_value=p_value, raised=("alarm",) if p_value < 0.05 else ())
-        return SimpleNamespace(judgement=judgement, evidence=found, null=null)
+        return SimpleNamespace(judgement=judgement, scored=scored, simulated=simulated)
 
-    def gather(bound, theta, wanted, *, particles, paths, seed):
+    def score_log(bound, theta, directions, *, particles, paths, seed):
         seeds.append(seed.entropy)
-        return "evidence"
+        return "scored"
 
-    monkeypatch.setattr(passes, "_judged", judged)
-    monkeypatch.setattr(passes, "gather", gather)
-    monkeypatch.setattr(passes, "replicated_log", lambda log, tables, path, rng: log)
+    monkeypatch.setattr(judged_log, "_judged", judged)
+    monkeypatch.setattr(judged_log, "score_log", score_log)
+    monkeypatch.setattr(judged_log, "replicated_log", lambda log, tables, path, rng: log)
     bound = SimpleNamespace(model=SimpleNamespace(bind=lambda log: bound))
     fit = SimpleNamespace(bound=bound, theta=np.zeros(4), tables=None, path=None)
-    last = passes.criticised("log", fit, (), 10, SETTINGS)
-    if passes.in_doubt(last.judgement):
-        last = passes.looked_again(last, "log", fit, (), 10, SETTINGS)
+    last = judged_log.judge_log("log", fit, (), 10, SETTINGS)
+    if judged_log.in_doubt(last.judgement):
+        last = judged_log.with_more_simulations(last, "log", fit, (), 10, SETTINGS)
     assert asked == logs
     assert last.judgement.p_value == (first if second is None else second)
     assert len(set(seeds)) == len(seeds) == 1 + logs[-1]
