@@ -13,9 +13,9 @@ from pmcl.models.robot_model import RobotModel
 
 __all__ = ["check_arguments"]
 
-# Least values: fewer particles or simulated logs cannot tell what is unusual.
+# Least values: with fewer particles or simulated logs the tests have no power (chosen by hand).
 _LEAST = {"particles": 50, "simulations": 15, "paths": 1, "rounds": 1, "draws": 1, "workers": 1}
-# A scored pass keeps state, weight and parent of each particle at each row.
+# Bytes of a scored pass for each particle and row: state, weight and parent.
 _BYTES_PER_PARTICLE = 60.0
 
 
@@ -23,6 +23,15 @@ def check_arguments(
     log: Any, model: Any, effects: Any, sizes: Mapping[str, Any], flags: Mapping[str, Any], seed: Any, level: Any
 ) -> None:
     """Check all arguments of :func:`pmcl.criticism.workflow.criticize`.
+
+    Parameters
+    ----------
+    log, model, effects, seed, level : Any
+        Arguments of that function.
+    sizes : mapping of str to Any
+        Its arguments that are whole numbers, by name.
+    flags : mapping of str to Any
+        Its arguments that are True or False, by name.
 
     Raises
     ------

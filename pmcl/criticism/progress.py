@@ -1,6 +1,6 @@
-"""Signs of life of a long search: what is being tried, how many candidates are left, and the time so far.
+"""Progress messages of a long run: the current step, the number of candidates left, and the elapsed time.
 
-On a terminal one line at the bottom is kept up to date. Elsewhere, as in a log file of a build server, a plain line is
+On a terminal one line at the bottom is kept up to date. Elsewhere, as in a log file of a build server, a line is
 written whenever a step begins, and from time to time while a step goes on.
 """
 
@@ -23,21 +23,21 @@ __all__ = ["Progress", "Watch"]
 
 _logger = logging.getLogger("pmcl.criticism")
 
-# Seconds between two updates of the line on a terminal, and between two plain lines elsewhere.
+# Seconds between two updates of the line on a terminal, and between two lines elsewhere (chosen by hand).
 _REFRESH, _PAUSE = 0.5, 15.0
 
 
 class Progress:
-    """What is told of a run while it goes on; a context, which ends what it shows.
+    """Reports the progress of a run; a context manager, which removes its line at the end.
 
     Parameters
     ----------
     shown : bool
-        Whether anything is told.
+        Whether anything is reported.
     live : bool, optional
-        Whether to keep one line up to date; on a terminal when left out.
+        Whether to keep one line up to date; by default, on a terminal.
     pause : float
-        Seconds without a line, where there is no terminal, after which one is written.
+        Seconds after which a line is repeated when there is no terminal.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Progress:
     ) -> None:
         self.shown, self.pause = shown, pause
         self.live = shown and (sys.stderr.isatty() if live is None else live)
-        self._began = self._told = time.monotonic()
+        self._began = self._last_message = time.monotonic()
         self._stage = ""
         self._watch: Watch | None = None
         self._line: Any = None
@@ -60,7 +60,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         if self.shown:
-            self._thread = threading.Thread(target=self._keep_telling, name="pmcl progress", daemon=True)
+            self._thread = threading.Thread(target=self._keep_reporting, name="pmcl progress", daemon=True)
             self._thread.start()
         return self
 
@@ -74,28 +74,36 @@ class Progress:
         self._hide()
 
     def tell(self, message: str, doing: str = "") -> None:
-        """Say which step begins, or what one came to; `doing` is then what goes on from here."""
+        """Report that a step begins, or the result of a step.
+
+        Parameters
+        ----------
+        message : str
+            The step that begins, or the result of the step that ends.
+        doing : str
+            The step that goes on from here, if it differs from the message.
+        """
         self.check()
         self._stage = doing or message
         if self.shown:
             self._log(message)
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt where somebody asked for an end."""
+        """Raise KeyboardInterrupt if the user has interrupted the run."""
         check_interrupt()
 
     @contextmanager
-    def watched(self, what: str, names: Sequence[str]) -> Iterator[Watch]:
+    def watched(self, activity: str, names: Sequence[str]) -> Iterator[Watch]:
         """Count pieces of work.
 
         Parameters
         ----------
-        what : str
-            What is done with them, e.g. "quick fits of candidates".
+        activity : str
+            The work, e.g. "quick fits of candidates".
         names : sequence of str
-            What each is called; empty names for pieces that are all alike.
+            The name of each piece; empty names for pieces that are alike.
         """
-        outer, self._watch = self._watch, Watch(self, what, tuple(names))
+        outer, self._watch = self._watch, Watch(self, activity, tuple(names))
         try:
             yield self._watch
         finally:
@@ -103,7 +111,7 @@ class Progress:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Leave the terminal to another progress bar for a while."""
+        """Leave the terminal to another progress bar."""
         self._hidden = True
         self._hide()
         try:
@@ -112,15 +120,15 @@ class Progress:
             self._hidden = False
 
     def status(self) -> str:
-        """Return what goes on at this moment."""
+        """Return the text of the current step."""
         watch = self._watch
         return str(watch) if watch is not None else self._stage
 
-    def _keep_telling(self) -> None:
+    def _keep_reporting(self) -> None:
         while not self._over.wait(_REFRESH if self.live else min(_REFRESH, self.pause)):
             if self.live:
                 self._show()
-            elif time.monotonic() - self._told >= self.pause:
+            elif time.monotonic() - self._last_message >= self.pause:
                 self._log(self.status() if self._watch is not None else f"still {self._stage}")
 
     def _elapsed(self) -> str:
@@ -128,7 +136,7 @@ class Progress:
         return f"[{minutes:d}:{seconds:02d}]"
 
     def _log(self, message: str) -> None:
-        self._told = time.monotonic()
+        self._last_message = time.monotonic()
         _logger.info("%s %s", self._elapsed(), message)
 
     def _show(self) -> None:
@@ -148,24 +156,24 @@ class Progress:
 
 
 class Watch:
-    """Pieces of work that are counted; threads may share it."""
+    """Counts pieces of work; threads may share it."""
 
-    def __init__(self, progress: Progress, what: str, names: tuple[str, ...]) -> None:
-        self._progress, self._what, self._names = progress, what, names
+    def __init__(self, progress: Progress, activity: str, names: tuple[str, ...]) -> None:
+        self._progress, self._activity, self._names = progress, activity, names
         self._done, self._now = 0, ""
         self._lock = threading.Lock()
 
     def begin(self, k: int) -> None:
-        """Say that piece k begins; raises KeyboardInterrupt where somebody asked for an end."""
+        """Report that piece k begins; raise KeyboardInterrupt if the user has interrupted the run."""
         self._progress.check()
         self._now = self._names[k]
 
     def end(self) -> None:
-        """Say that a piece is done."""
+        """Report that a piece is done."""
         with self._lock:
             self._done += 1
 
     def __str__(self) -> str:
         total = len(self._names)
         now = f", now {self._now}" if self._now else ""
-        return f"{self._what}: {self._done} of {total} done, {total - self._done} left{now}"
+        return f"{self._activity}: {self._done} of {total} done, {total - self._done} left{now}"

@@ -29,7 +29,7 @@ def pulled(tables: Any, values: Any, log: pmcl.RobotLog, where: Any) -> Any:
 TORQUE_STEER = Effect(
     name="torque-steer",
     summary="The robot pulls to one side whenever it accelerates.",
-    look="After each change of speed the heading is off, in proportion to the change.",
+    symptom="After each change of speed the heading is off, in proportion to the change.",
     finding="accelerating turns the robot to the {0:left|right} by {0}",
     parameters=(pmcl.Parameter("torque_steer", "rad/m", stats.norm(scale=0.5), "turn per change of the forward step"),),
     null=(0.0,),  # the value at which there is no effect

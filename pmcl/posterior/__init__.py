@@ -3,9 +3,9 @@
 :mod:`~pmcl.posterior.convert` labels the plain arrays of :class:`pmcl.sampling.chains.Chains`,
 :mod:`~pmcl.posterior.files` keeps them on disk, :mod:`~pmcl.posterior.access` is how the rest of pmcl reads them,
 :mod:`~pmcl.posterior.estimates` reduces them to a mean, a MAP estimate or a few draws. Every calibration ends with
-:mod:`~pmcl.posterior.predictive_check`: a filter foresees the log's own readings, and
-:mod:`~pmcl.posterior.model_check` judges how well. :mod:`~pmcl.posterior.diagnostics` says whether the draws can be
-believed: whether the chains have converged, and whether the model fits. The posterior goes on to
+:mod:`~pmcl.posterior.predictive_check`: a filter predicts the log's own readings, and
+:mod:`~pmcl.posterior.model_check` judges how well. :mod:`~pmcl.posterior.diagnostics` judges the result:
+whether the chains have converged, and whether the model fits. The posterior goes on to
 :mod:`pmcl.localization` (which drives a filter with it), :mod:`pmcl.criticism` and :mod:`pmcl.reports`.
 """
 

@@ -1,4 +1,4 @@
-"""How the rest of pmcl reads a posterior: plain arrays and numbers out of labelled groups.
+"""Access to a posterior for the rest of pmcl: plain arrays and numbers from labelled groups.
 
 Parameters are the variables of the group ``posterior`` with dimensions (chain, draw) and nothing else, so posteriors
 that other programs wrote through ArviZ can be read too.
@@ -143,7 +143,7 @@ def log_joint(data: Posterior) -> Float | None:
 
     Returns
     -------
-    ndarray of shape (K, N), or None when the posterior does not tell
+    ndarray of shape (K, N), or None when the posterior does not hold it
     """
     statistics = find_group(data, "sample_stats")
     if "lp" not in statistics:
@@ -152,7 +152,7 @@ def log_joint(data: Posterior) -> Float | None:
 
 
 def true_theta(data: Posterior) -> dict[str, float]:
-    """Give the parameters that a simulated log was made with.
+    """Return the true parameters of a simulated log.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def true_theta(data: Posterior) -> dict[str, float]:
 
 
 def log_suffixes(data: Posterior) -> tuple[str, ...]:
-    """Give the endings that tell the logs' variables apart: ``("",)`` for one log, ``("_0", "_1", ...)`` for several.
+    """Return the suffixes of the logs' variables: ``("",)`` for one log, ``("_0", "_1", ...)`` for several.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _endings(group: xr.Dataset, variable: str) -> tuple[str, ...]:
 
 
 def log_contents(data: Posterior) -> tuple[LogContents, ...]:
-    """Tell how much each log held that the posterior was inferred from.
+    """Return the times and the number of readings of each log that the posterior was inferred from.
 
     Parameters
     ----------
@@ -213,15 +213,16 @@ def log_contents(data: Posterior) -> tuple[LogContents, ...]:
         return ()
     contents = []
     for suffix in _endings(given, "odometry"):
-        seen: set[tuple[str, float, object]] = set()
+        places: set[tuple[str, float, object]] = set()
         for sensor_name, sensor in sensors().items():
             for kind in sensor.readings():
                 if (name := f"{kind}{suffix}") in observed:
                     channel = sensor.variables[kind].dims[1:]
                     # Kinds of one sensor that are read at the same place, such as distance and bearing, count once.
-                    seen |= {(sensor_name, *place) for place in _measured_places(observed[name], kind, channel, suffix)}
+                    measured = _measured_places(observed[name], kind, channel, suffix)
+                    places |= {(sensor_name, *place) for place in measured}
         times = np.asarray(given[f"time{suffix}"].values, dtype=np.float64)
-        contents.append(LogContents(times, len(seen)))
+        contents.append(LogContents(times, len(places)))
     return tuple(contents)
 
 
@@ -232,7 +233,7 @@ def _is_odometry(name: object) -> bool:
 def _measured_places(
     readings: xr.DataArray, kind: str, channel: tuple[str, ...], suffix: str
 ) -> list[tuple[float, object]]:
-    """Give time and channel of each reading that was measured; `channel` names the dimensions beside time."""
+    """Return time and channel of each reading that was measured; `channel` names the dimensions beside time."""
     if readings.ndim == 2:
         row, column = np.nonzero(~np.isnan(readings.values))
         return list(zip(readings[readings.dims[0]].values[row].tolist(), column.tolist(), strict=True))
@@ -241,13 +242,13 @@ def _measured_places(
 
 
 def trajectory_draws(data: Posterior, log: int = 0) -> xr.DataArray:
-    """Give the stored trajectories of one log.
+    """Return the stored trajectories of one log.
 
     Parameters
     ----------
     data : arviz.InferenceData or xarray.DataTree
     log : int
-        Which log, from 0.
+        Position of the log, from 0.
 
     Returns
     -------
@@ -269,6 +270,6 @@ def trajectory_draws(data: Posterior, log: int = 0) -> xr.DataArray:
 
 
 def _trajectories(data: Posterior) -> xr.Dataset:
-    """Give the group of trajectories; files of older versions hold them in the group ``posterior``."""
+    """Return the group of trajectories; files of older versions hold them in the group ``posterior``."""
     found = find_group(data, "trajectories")
     return found if found.data_vars else find_group(data, "posterior")

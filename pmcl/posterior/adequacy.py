@@ -1,4 +1,4 @@
-"""The second half of the verdict: whether the calibrated model fits its log, as the posterior file says."""
+"""Whether the calibrated model fits its log, as the posterior file records it: the second half of the verdict."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Adequacy(NamedTuple):
     sentence : str
         One sentence, beginning in lower case and without a full stop; empty when not checked.
     advice : tuple of str
-        What to do about it.
+        Advice for the user.
     """
 
     adequate: bool | None
@@ -41,15 +41,15 @@ def adequacy(data: Posterior) -> Adequacy:
     Returns
     -------
     Adequacy
-        Not adequate when the model check objects, or when a warning names a mistake that explains the log better than
-        what the log says.
+        Not adequate when the model check found a deviation, or when a warning names a mistake in the log, such as
+        swapped axes, that explains the readings better than the log as it is.
     """
     check = find_group(data, "predictive_check").attrs
     checked = "adequate" in check
     findings: list[dict[str, Any]] = json.loads(str(check["findings"])) if checked else []
     warnings = warnings_of_preflight(data)
-    mistakes = [str(one["message"]).rstrip(".") for one in warnings if one.get("mistake")]
-    advice = tuple(str(one["message"]) for one in warnings if not one.get("mistake"))
+    mistakes = [str(warning["message"]).rstrip(".") for warning in warnings if warning.get("mistake")]
+    advice = tuple(str(warning["message"]) for warning in warnings if not warning.get("mistake"))
     if mistakes:
         remedy = "Mend the log and calibrate again: these numbers describe another robot."
         return Adequacy(False, f"the log looks mistaken: {_listed(mistakes)}", (remedy, *advice))
@@ -59,18 +59,20 @@ def adequacy(data: Posterior) -> Adequacy:
         probability = f"p = {float(check['p_value']):.2g}"
         sentence = f"the model fits: its predictions of {int(check['readings'])} readings show nothing unusual"
         return Adequacy(True, f"{sentence} ({probability})", advice)
-    several = len({one["log"] for one in findings}) > 1 or any(one["log"] for one in findings)
-    named = [f"{one['message']} in log {one['log']}" if several else str(one["message"]) for one in findings]
+    several = len({finding["log"] for finding in findings}) > 1 or any(finding["log"] for finding in findings)
+    named = [
+        f"{finding['message']} in log {finding['log']}" if several else str(finding["message"]) for finding in findings
+    ]
     remedy = (
         "Use another starting belief, more particles during burn-in, or --outliers, which allows for gross errors."
-        if any(one["name"] == "lost" for one in findings)
+        if any(finding["name"] == "lost" for finding in findings)
         else "Run 'pmcl criticize' before you use these numbers: it finds which effect the model lacks."
     )
     return Adequacy(False, f"readings and model disagree: {_listed(named)}", (remedy, *advice))
 
 
 def warnings_of_preflight(data: Posterior) -> tuple[dict[str, Any], ...]:
-    """Give the warnings about the log that were found before sampling.
+    """Return the warnings about the log that were found before sampling.
 
     Parameters
     ----------

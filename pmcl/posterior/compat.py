@@ -1,4 +1,4 @@
-"""The one place that knows which ArviZ is installed.
+"""Access to ArviZ, whichever generation is installed; no other module imports it.
 
 ArviZ 0.2x keeps a posterior in its own ``InferenceData``, ArviZ 1.x in an :class:`xarray.DataTree`. Both are a set of
 named groups, each an :class:`xarray.Dataset`, plus attributes. Everything else in pmcl sees only groups.
@@ -40,12 +40,12 @@ Posterior: TypeAlias = Any
 
 Float = NDArray[np.float64]
 
-# Which quantiles the tail effective sample size is about: the ends of the 90 % interval that pmcl reports.
+# Quantiles of the tail effective sample size: the ends of the 90 % interval that pmcl reports.
 _TAILS = (0.05, 0.95)
 
 
 def _arviz() -> Any:
-    # Untyped on purpose: one of the generations is annotated in part, and only for itself.
+    # Untyped on purpose: only one of the generations has annotations, and these do not fit the other.
     return importlib.import_module("arviz")
 
 
@@ -55,14 +55,14 @@ def _uses_datatree() -> bool:
 
 
 def assemble(groups: Mapping[str, xr.Dataset], attrs: Mapping[str, Any]) -> Posterior:
-    """Put groups together as the installed ArviZ keeps them.
+    """Return a posterior of the installed ArviZ generation that holds some groups.
 
     Parameters
     ----------
     groups : mapping of str to xarray.Dataset
         Group name to its content.
     attrs : mapping of str to scalar
-        Attributes of the whole.
+        Attributes of the whole posterior.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def group_names(data: Posterior) -> tuple[str, ...]:
 
 
 def find_group(data: Posterior, name: str) -> xr.Dataset:
-    """Give one group of a posterior, empty if it is not there.
+    """Return one group of a posterior; an empty one if the posterior does not have it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the draws say, how precisely, and whether the chains can be believed.
+"""Summaries of the draws with their precision, and whether the chains have converged.
 
 The measures are those of Vehtari, Gelman, Simpson, Carpenter, Bürkner, "Rank-normalization, folding, and localization:
 an improved R-hat", Bayesian Analysis 16(2), 2021, as ArviZ computes them, with the limits recommended there.
@@ -54,12 +54,12 @@ class Verdict(NamedTuple):
     converged : bool
         Whether the draws are those of the model's posterior; True for a point estimate, which has no chains.
     adequate : bool or None
-        Whether the calibrated model foresees its own log as well as it claims; None when that was not checked, as in
+        Whether the calibrated model predicts its own log as well as it claims; None when that was not checked, as in
         files of older versions.
     message : str
-        How well, or what is wrong with which parameter, chain or kind of reading.
+        The verdict in words: the precision, or the parameter, chain or kind of reading that is wrong.
     advice : tuple of str
-        What to do about it, most urgent first; may hold warnings when all is well.
+        Advice for the user, most urgent first; it may hold warnings when all is well.
     """
 
     converged: bool
@@ -139,8 +139,8 @@ def lost_chains(log_densities: Float) -> dict[int, float]:
         return {}
     medians = np.median(log_densities, axis=1)
     low, high = np.quantile(log_densities, [0.25, 0.75], axis=1)
-    # Over chains the median, lest a chain that still climbs hides itself by its own large spread; at least one nat,
-    # lest chains that hardly move call each other lost.
+    # The spread is the median over chains, because a chain that still climbs has a large spread of its own. It is at
+    # least one nat, because chains that hardly move would otherwise count each other as lost.
     spread = max(float(np.median((high - low) / 1.349)), 1.0)
     lost = medians < medians.max() - _LOST_SPREADS * spread
     level = float(np.median(medians[~lost]))
@@ -148,12 +148,12 @@ def lost_chains(log_densities: Float) -> dict[int, float]:
 
 
 def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
-    """Say whether the posterior can be believed: whether the chains have converged, and whether the model fits.
+    """Judge a posterior: whether the chains have converged, and whether the model fits.
 
     Converged means: rank-normalised split R-hat at most 1.01 and at least 400 effective draws, in bulk and tails, for
     every parameter, and no chain lost. Adequate means: the check that ends a calibration
-    (:func:`pmcl.posterior.model_check.check_model`) found nothing unusual in what a filter with the posterior mean
-    foresees, and no mistake in the log was found before sampling.
+    (:func:`pmcl.posterior.model_check.check_model`) found nothing unusual in the predictions of a filter with the
+    posterior mean, and no mistake in the log was found before sampling.
 
     Parameters
     ----------
@@ -205,14 +205,14 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
 
 
 def _shortfalls(table: xr.Dataset) -> list[str]:
-    """Parameters that miss a limit, the worst first. Written so that NaN misses it."""
+    """Return the parameters that miss a limit, the worst first; NaN misses it."""
     score = _shortfall_factor(table)
     order = np.argsort(-np.nan_to_num(score, nan=np.inf), kind="stable")
     return [str(table["parameter"].values[index]) for index in order if not score[index] <= 1.0]
 
 
 def _shortfall_factor(table: xr.Dataset) -> Float:
-    """By which factor each parameter misses the worst of its limits: how many times more draws it needs."""
+    """Return by which factor each parameter misses its worst limit: so many times more draws it needs."""
     # R-hat exceeds 1 by an amount that falls like one over the number of draws.
     r_hat_factor = (table["r_hat"].values - 1.0) / (R_HAT_LIMIT - 1.0)
     least = np.minimum(table["ess_bulk"].values, table["ess_tail"].values)
@@ -261,7 +261,7 @@ def _advice_on_chains(table: xr.Dataset, lost: dict[int, float]) -> list[str]:
 
 
 def _advice_on_draws(table: xr.Dataset, short: list[str], lost: dict[int, float]) -> list[str]:
-    # A lost chain, or one alone, makes R-hat and ESS useless for saying how many draws are needed.
+    # With a lost chain, or with a single one, R-hat and ESS do not show how many draws are needed.
     if not short or lost or table.attrs["chains"] < 2:
         return []
     if float(table["r_hat"].max()) > _R_HAT_APART:
@@ -270,7 +270,7 @@ def _advice_on_draws(table: xr.Dataset, short: list[str], lost: dict[int, float]
     if table.attrs["draws"] < _LEAST_DRAWS:
         return [f"Run at least {ESS_LIMIT:.0f} draws per chain: so few tell nothing about convergence."]
     factor = float(np.nanmax([1.0, *_shortfall_factor(table)]))
-    # Then only parameters that never moved fall short, and more of the same does not help them.
+    # Then only parameters that never moved miss a limit, and more draws do not help them.
     if factor <= 1.0:
         return []
     needed = table.attrs["draws"] * factor

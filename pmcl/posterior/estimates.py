@@ -1,4 +1,4 @@
-"""What a filter, or a reader, takes from the posterior: mean, draw of greatest density, draws, mean path."""
+"""Estimates from the posterior: the mean, the draw of greatest density, random draws, and the mean path."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Float = NDArray[np.float64]
 
 
 class PathSummary(NamedTuple):
-    """Where the robot was, according to the stored trajectories of a log.
+    """Summary of the stored trajectories of a log.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def map_estimate(data: Posterior) -> dict[str, float]:
     Raises
     ------
     PosteriorError
-        If the posterior holds no draws, or does not tell their joint density.
+        If the posterior holds no draws, or not their joint density.
     """
     densities = log_joint(data)
     if densities is None or bool(np.isnan(densities).all()):
@@ -92,7 +92,7 @@ def draws(data: Posterior, n: int, seed: int) -> list[dict[str, float]]:
     ----------
     data : arviz.InferenceData or xarray.DataTree
     n : int
-        How many. Without repetition as long as there are so many.
+        Number of draws; no draw is repeated unless there are fewer.
     seed : int
         The same seed gives the same draws.
 
@@ -120,7 +120,7 @@ def path_summary(data: Posterior, log: int = 0) -> PathSummary:
     ----------
     data : arviz.InferenceData or xarray.DataTree
     log : int
-        Which log, from 0.
+        Position of the log, from 0.
 
     Returns
     -------

@@ -16,7 +16,7 @@ __all__ = ["read_posterior", "replacing", "write_posterior"]
 
 
 def write_posterior(data: Posterior, path: str | os.PathLike[str]) -> None:
-    """Write a posterior to a NetCDF file; an older file of that name stays whole until the new one is complete.
+    """Write a posterior to a NetCDF file; an older file of that name is replaced only when the new one is complete.
 
     Parameters
     ----------
@@ -77,17 +77,17 @@ def read_posterior(path: str | os.PathLike[str]) -> Posterior:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name beside `path` to write to, which takes the place of `path` when all went well.
+    """Yield a temporary file name beside `path`; the file takes the place of `path` when no error occurs.
 
     Parameters
     ----------
     path : path-like
-        The file to write in the end.
+        The final file.
 
     Yields
     ------
     pathlib.Path
-        Where to write meanwhile.
+        The temporary file.
 
     Raises
     ------

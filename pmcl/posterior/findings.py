@@ -1,4 +1,4 @@
-"""What a model check found, in words that tell a roboticist which readings disagree and how."""
+"""The findings of a model check, in words that describe which readings disagree with the model and how."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Finding(NamedTuple):
     name : str
         "lost", or the name of a :class:`~pmcl.posterior.score_statistics.Statistic`.
     log : int
-        Which log, from 0.
+        Position of the log, from 0.
     kind : str
         Variable of the log, e.g. "landmark_range"; empty for "lost".
     channels : tuple of int
@@ -48,7 +48,15 @@ class Finding(NamedTuple):
 
 
 def lost_finding(log: int, time: float) -> Finding:
-    """Say that the filter loses the robot of log number `log` at `time` [s]."""
+    """Return the finding that the filter loses the robot.
+
+    Parameters
+    ----------
+    log : int
+        Position of the log, from 0.
+    time : float
+        Time at which the robot is lost [s].
+    """
     return Finding("lost", log, "", (), np.inf, 0.0, time, f"the filter loses the robot at t={time:g} s")
 
 
@@ -74,7 +82,7 @@ def named_finding(
     z, p_value : float
         Its greatest deviation and p-value.
     number : int
-        Which log, from 0.
+        Position of the log, from 0.
     log : RobotLog
         The log itself.
 

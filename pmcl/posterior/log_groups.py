@@ -1,4 +1,4 @@
-"""What the posterior keeps of the logs it was inferred from: readings, map, start belief and truth.
+"""Groups of a posterior that hold its logs: readings, map, start belief and true parameters.
 
 One log keeps the names of its file. Several logs share one theta but not their times, beams or maps, so their
 variables and dimensions are numbered: ``odometry_0(time_0, increment)``, ``odometry_1(time_1, increment)``.
@@ -23,7 +23,7 @@ _SHARED_DIMS = frozenset({"increment", "pose", "xy", "end"})
 
 
 class LogLike(Protocol):
-    """What the conversion needs to know of a robot log (:class:`pmcl.logs.robot_log.RobotLog` has it)."""
+    """The part of a robot log that the conversion uses; :class:`pmcl.logs.robot_log.RobotLog` has it."""
 
     @property
     def dataset(self) -> xr.Dataset:
@@ -31,14 +31,14 @@ class LogLike(Protocol):
 
     @property
     def true_theta(self) -> Mapping[str, float] | None:
-        """Parameters that a simulated log was made with."""
+        """True parameters of a simulated log."""
 
     def fingerprint(self) -> str:
         """Hash over everything that calibration sees."""
 
 
 def suffixes_for(n_logs: int) -> tuple[str, ...]:
-    """Give the endings of the variables of each log.
+    """Return the suffixes of the variables of each log.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         kinds = reading_kinds(dataset)
         # The truth is a JSON text among the attributes of the log; it is kept as numbers below instead.
         attrs = {f"{key}{suffix}": value for key, value in dataset.attrs.items() if key in ("robot", "source", "seed")}
-        # The name of its file alone: the folder is nobody else's business.
+        # Only the name of its file: its folder is private to the user.
         if name := Path(getattr(log, "where", "")).name:
             attrs[f"log{suffix}"] = name
         measured = [_measured(dataset[kind], suffix) for kind in kinds]
@@ -119,7 +119,7 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
 
 
 def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
-    """Give the readings of one kind that were measured, as one row."""
+    """Return the readings of one kind that were measured, as one row."""
     row, *columns = np.nonzero(~np.isnan(values.values))
     kind, channels = str(values.name), [str(dim) for dim in values.dims[1:]]
     dims = (f"{kind}_reading{suffix}",)
@@ -133,7 +133,7 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
 
 
 def agreed_truth(logs: Sequence[LogLike]) -> dict[str, float]:
-    """Give the true parameters of simulated logs.
+    """Return the true parameters of simulated logs.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Whether a calibrated model fits its own log: the check that ends every calibration.
 
-A filter with the posterior mean foresees each reading from all before it. Where the model is right, the probability
-integral transforms of the readings are independent and uniform; where it is not, they show what disagrees: errors that
-last, a wrong spread, a channel that is off. That chains have converged says nothing of the kind.
+A filter with the posterior mean predicts each reading from all readings before it. When the model is right, the
+probability integral transforms of the readings are independent and uniform. When it is not, they show what disagrees:
+errors that last, a wrong spread, a biased channel. Convergence of the chains shows none of this.
 
 References
 ----------
@@ -38,20 +38,20 @@ LEVEL = 0.01
 
 # Simulated score series; the smallest p-value is one over this number plus one.
 _SIMULATIONS = 499
-# A shorter series tells nothing by itself.
+# A shorter series is not tested.
 _LEAST_READINGS = 30
-# A filter with few effective particles is too sure of what it foresees. Particles are added until 95 % of the rows with
-# readings have this many effective ones, from the first to the second of these limits.
+# The predictions of a filter with few effective particles are too narrow. Particles are added until 95 % of the rows
+# with readings have this many effective ones, from the first to the second of these limits.
 _EFFECTIVE_PARTICLES = 50.0
 _PARTICLES = (1000, 16000)
 # A pass keeps 36 bytes for each particle and row: no more than some 400 MB for a long log.
 _MOST_PARTICLE_ROWS = 10_000_000
-# A filter that loses the robot is given another chance with this times as many particles.
+# A filter that loses the robot is run again with this many times the particles.
 _SECOND_CHANCE = 4
 
 
 class ScoredPass(NamedTuple):
-    """What a filter foresaw of one log.
+    """Predictions of a filter for one log.
 
     Attributes
     ----------
@@ -69,19 +69,19 @@ class ScoredPass(NamedTuple):
 
 
 class ModelCheck(NamedTuple):
-    """What the readings say of a model.
+    """The result of a model check.
 
     Attributes
     ----------
     adequate : bool or None
-        Whether no statistic deviates at the level :data:`LEVEL`; None when there was nothing to judge by: too few
-        readings, or sensors without a distribution function.
+        Whether no statistic deviates at the level :data:`LEVEL`; None when nothing could be tested because there are
+        too few readings, or sensors have no distribution function.
     findings : tuple of Finding
-        What deviates, most serious first.
+        The deviations, most serious first.
     p_value : float
         Probability of a greatest deviation like the one found when the model is right; NaN when not judged.
     passes : tuple of ScoredPass
-        What the filter foresaw, for each log.
+        Predictions of the filter for each log.
     """
 
     adequate: bool | None
@@ -101,7 +101,7 @@ def check_model(bound: BoundModel, theta: Float, seed: int = 0) -> ModelCheck:
         Its parameters, usually the posterior mean. That they were estimated from the same logs makes the check a little
         conservative: what the parameters can absorb has been absorbed.
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
 
     Returns
     -------
@@ -119,14 +119,14 @@ def check_model(bound: BoundModel, theta: Float, seed: int = 0) -> ModelCheck:
     for number, (log, tables, n_steps) in enumerate(zip(bound.logs, bound.tables(theta), bound.lengths, strict=True)):
         # One stream of random numbers for the filter, one for the randomised transforms, one for the simulated scores.
         for_filter, for_pit, for_scores = np.random.SeedSequence((seed, number)).spawn(3)
-        made, n_particles, row = _healthy_pass(tables, n_steps, for_filter)
-        normal = np.empty(0) if made is None else special.ndtri(made.pit(make_rng(for_pit)))
-        passes.append(ScoredPass(made, normal, n_particles))
-        if row is not None:
-            lost.append(lost_finding(number, float(log.times[row])))
-        elif made is not None:
+        predictions, n_particles, lost_row = _healthy_pass(tables, n_steps, for_filter)
+        normal = np.empty(0) if predictions is None else special.ndtri(predictions.pit(make_rng(for_pit)))
+        passes.append(ScoredPass(predictions, normal, n_particles))
+        if lost_row is not None:
+            lost.append(lost_finding(number, float(log.times[lost_row])))
+        elif predictions is not None:
             rng = np.random.default_rng(for_scores)
-            for series in _series(made, normal, log.times):
+            for series in _series(predictions, normal, log.times):
                 judged.append(_Judged(number, series, *score_statistics(series, _SIMULATIONS, rng)))
     findings, p_value = _deviations(judged, bound.logs) if judged else ((), np.nan)
     everything = (*lost, *findings)
@@ -135,46 +135,53 @@ def check_model(bound: BoundModel, theta: Float, seed: int = 0) -> ModelCheck:
     return ModelCheck(not everything, everything, 0.0 if lost else p_value, tuple(passes))
 
 
-def _healthy_pass(
-    tables: Tables, n_steps: int, seed: np.random.SeedSequence
-) -> tuple[Predictions | None, int, int | None]:
-    """Return a pass with enough particles, their number, and the row at which it loses the robot, if it does."""
+class _HealthyPass(NamedTuple):
+    """Predictions by enough particles, the number of particles, and the row at which the robot is lost, or None."""
+
+    predictions: Predictions | None
+    particles: int
+    lost_row: int | None
+
+
+def _healthy_pass(tables: Tables, n_steps: int, seed: np.random.SeedSequence) -> _HealthyPass:
+    """Run a filter, again with more particles where these are too few or lose the robot."""
     n_particles, most = _PARTICLES
     most = max(n_particles, min(most, _MOST_PARTICLE_ROWS // n_steps))
-    made: Predictions | None = None
+    predictions: Predictions | None = None
     lost: int | None = None
     for attempt in seed.spawn(3):
         try:
-            made = predict_readings(tables, n_steps, n_particles, make_rng(attempt)).without_particles()
-            lost = lost_at(made, n_steps)
+            predictions = predict_readings(tables, n_steps, n_particles, make_rng(attempt)).without_particles()
+            lost = lost_at(predictions, n_steps)
         except FilterError as error:
             if error.row is None:
                 raise
-            made, lost = None, error.row
-        if made is not None and lost is None:
-            needed = _particles_needed(made, n_particles)
+            predictions, lost = None, error.row
+        if predictions is not None and lost is None:
+            needed = _particles_needed(predictions, n_particles)
         else:
             needed = _SECOND_CHANCE * n_particles
         if needed <= n_particles or n_particles == most:
             break
         n_particles = min(needed, most)
-    return made, n_particles, lost
+    return _HealthyPass(predictions, n_particles, lost)
 
 
-def _particles_needed(made: Predictions, n_particles: int) -> int:
-    """Return how many particles give nearly all rows with readings enough effective ones."""
-    effective = float(np.quantile(made.filtered.effective_size[np.unique(made.time)], 0.05))
+def _particles_needed(predictions: Predictions, n_particles: int) -> int:
+    """Return the number of particles with which 95 % of the rows with readings have enough effective ones."""
+    effective = float(np.quantile(predictions.filtered.effective_size[np.unique(predictions.time)], 0.05))
     return int(np.ceil(n_particles * _EFFECTIVE_PARTICLES / max(effective, 1.0)))
 
 
-def _series(made: Predictions, normal: Float, times: Float) -> list[ScoreSeries]:
+def _series(predictions: Predictions, normal: Float, times: Float) -> list[ScoreSeries]:
     """Return the scores of each kind of reading that has enough of them."""
-    found = []
-    for number, kind in enumerate(made.kinds):
-        mine = np.flatnonzero((made.kind == number) & ~np.isnan(normal))
-        if mine.size >= _LEAST_READINGS:
-            found.append(ScoreSeries(kind, times[made.time[mine]], made.channel[mine], normal[mine]))
-    return found
+    series = []
+    for number, kind in enumerate(predictions.kinds):
+        selected = np.flatnonzero((predictions.kind == number) & ~np.isnan(normal))
+        if selected.size >= _LEAST_READINGS:
+            time, channel = times[predictions.time[selected]], predictions.channel[selected]
+            series.append(ScoreSeries(kind, time, channel, normal[selected]))
+    return series
 
 
 class _Judged(NamedTuple):
@@ -187,7 +194,7 @@ class _Judged(NamedTuple):
 
 
 class _Deviation(NamedTuple):
-    """A statistic beyond its critical value; `ratio` says how far beyond."""
+    """A statistic beyond its critical value; `ratio` is the statistic divided by that value."""
 
     ratio: float
     z: float
@@ -196,20 +203,22 @@ class _Deviation(NamedTuple):
 
 
 def _deviations(judged: Sequence[_Judged], logs: Sequence[RobotLog]) -> tuple[tuple[Finding, ...], float]:
-    """Return what deviates, most serious first, and the p-value of the greatest deviation of all.
+    """Return the deviations, most serious first, and the p-value of the greatest one.
 
     Every statistic is measured by the value that it exceeds in one of a hundred simulations, so that none dominates by
     a long tail. The log's own value counts among the simulated ones: log and simulations are treated alike, and the
     rank of the greatest deviation is exactly uniform when the model is right.
     """
-    size = np.abs(np.concatenate([one.values for one in judged]))
+    size = np.abs(np.concatenate([judged_series.values for judged_series in judged]))
     ratio = size / np.maximum(np.quantile(size, 1.0 - LEVEL, axis=1, keepdims=True), 1e-300)
     greatest = ratio.max(axis=0)
     own = iter(ratio[:, 0])
     found: list[tuple[float, Finding]] = []
-    for one in judged:
+    for judged_series in judged:
         groups: dict[str, list[_Deviation]] = {}
-        for statistic, z, beyond in zip(one.statistics, one.values[:, 0], own, strict=False):
+        for statistic, z, beyond in zip(
+            judged_series.statistics, judged_series.values[:, 0], own, strict=False
+        ):
             p_value = float(np.mean(greatest >= beyond))
             if p_value <= LEVEL:
                 deviation = _Deviation(float(beyond), float(z), p_value, statistic.channel)
@@ -217,7 +226,10 @@ def _deviations(judged: Sequence[_Judged], logs: Sequence[RobotLog]) -> tuple[tu
         for name, members in groups.items():
             worst = max(members)
             channels = tuple(sorted(member.channel for member in members))
-            finding = named_finding(name, one.series, channels, worst.z, worst.p_value, one.log, logs[one.log])
+            number = judged_series.log
+            finding = named_finding(
+                name, judged_series.series, channels, worst.z, worst.p_value, number, logs[number]
+            )
             found.append((worst.ratio, finding))
     found.sort(key=lambda pair: -pair[0])
     return tuple(finding for _, finding in found), float(np.mean(greatest >= greatest[0]))

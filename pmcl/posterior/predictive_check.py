@@ -1,4 +1,4 @@
-"""Ends a calibration: checks the model on its own log and keeps what the check, ArviZ and reports need.
+"""The last step of a calibration: check the model on its own log, and keep the result for ArviZ and reports.
 
 The group ``predictive_check`` holds the normal scores of all readings under the posterior mean. The groups
 ``log_likelihood`` and ``posterior_predictive`` hold, for some draws of theta, the log density of each reading given all
@@ -40,18 +40,18 @@ def checked(data: Posterior, bound: BoundModel, seed: int) -> Posterior:
     bound : BoundModel
         The model bound to the logs that were calibrated.
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
 
     Returns
     -------
     arviz.InferenceData or xarray.DataTree
         With the groups ``predictive_check``, ``log_likelihood`` and ``posterior_predictive``, and the attributes
-        ``converged`` and ``adequate`` (0 or 1; the second only where there was something to judge by) and ``verdict``.
-        Groups are left out, with a line in the log ``pmcl``, where sensors or filter do not allow them.
+        ``converged`` and ``adequate`` (0 or 1; the second only if something could be tested) and ``verdict``.
+        A group that sensors or filter do not allow is left out; the logger ``pmcl`` gets a message.
     """
     theta = theta_draws(data)
     groups: dict[str, xr.Dataset] = {}
-    # Whatever goes wrong here, the draws must not be lost.
+    # An error of the check must not lose the draws.
     try:
         result = check_model(bound, theta.mean(axis=(0, 1)), seed)
         if result.adequate is not None:
@@ -85,9 +85,9 @@ def check_group(check: ModelCheck, logs: tuple[RobotLog, ...]) -> xr.Dataset:
     """
     variables: dict[str, xr.DataArray] = {}
     coords: dict[str, Any] = {}
-    for made, log, suffix in zip(check.passes, logs, suffixes_for(len(logs)), strict=True):
+    for scored_pass, log, suffix in zip(check.passes, logs, suffixes_for(len(logs)), strict=True):
         coords[f"time{suffix}"] = ((f"time{suffix}",), log.times, {"units": "s", "long_name": "time"})
-        variables |= _residuals(made, log, suffix)
+        variables |= _residuals(scored_pass, log, suffix)
         channels = {dimension for kind in reading_kinds(log.dataset) for dimension in log.dataset[kind].dims[1:]}
         for dimension in sorted(map(str, channels)):
             if dimension in log.dataset.coords:
@@ -99,23 +99,25 @@ def check_group(check: ModelCheck, logs: tuple[RobotLog, ...]) -> xr.Dataset:
         "adequate": int(bool(check.adequate)),
         "p_value": check.p_value,
         "level": LEVEL,
-        "particles": max(made.particles for made in check.passes),
-        "readings": sum(int(np.count_nonzero(~np.isnan(made.scores))) for made in check.passes),
+        "particles": max(scored_pass.particles for scored_pass in check.passes),
+        "readings": sum(int(np.count_nonzero(~np.isnan(scored_pass.scores))) for scored_pass in check.passes),
         "findings": json.dumps(findings),
         "long_name": "normal scores of readings given all before them, under the posterior mean",
     }
     return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
-def _residuals(made: ScoredPass, log: RobotLog, suffix: str) -> dict[str, xr.DataArray]:
+def _residuals(scored_pass: ScoredPass, log: RobotLog, suffix: str) -> dict[str, xr.DataArray]:
     variables = {}
     for kind in reading_kinds(log.dataset):
         template = log.dataset[kind]
         values = np.full(template.shape, np.nan)
-        # A filter that lost the robot entirely foresaw nothing; the variable is there all the same.
-        if made.predictions is not None and kind in made.predictions.kinds:
-            mine = made.predictions.kind == made.predictions.kinds.index(kind)
-            over_channels(values)[made.predictions.time[mine], made.predictions.channel[mine]] = made.scores[mine]
+        # A filter that lost the robot entirely has no predictions; the variable exists all the same.
+        predictions = scored_pass.predictions
+        if predictions is not None and kind in predictions.kinds:
+            selected = predictions.kind == predictions.kinds.index(kind)
+            places = predictions.time[selected], predictions.channel[selected]
+            over_channels(values)[places] = scored_pass.scores[selected]
         variables[f"residual_{kind}{suffix}"] = xr.DataArray(
             values,
             dims=[f"{dimension}{suffix}" for dimension in template.dims],

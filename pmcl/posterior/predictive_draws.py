@@ -1,9 +1,9 @@
-"""Groups ``log_likelihood`` and ``posterior_predictive``: what filters with draws of theta foresee.
+"""Groups ``log_likelihood`` and ``posterior_predictive``: predictions of filters with draws of theta.
 
 Both are sequential, since a robot's readings are a time series with a hidden path. The log likelihood of a reading is
 conditional on all readings before it; its terms add up to the log evidence of the draw. A replicated row of readings is
-drawn from the filter's particles before it saw that row. ``az.loo`` of such terms says how well the next reading is
-foreseen when one term is left out of what is known about theta; it is not leave-one-out over independent observations.
+drawn from the filter's particles before they were weighted by that row. ``az.loo`` of such terms estimates how well the
+next reading is predicted when theta is inferred without one term; it is not leave-one-out over independent readings.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Task(NamedTuple):
 def predictive_groups(
     bound: BoundModel, theta: Float, observed: xr.Dataset, seed: int
 ) -> dict[str, xr.Dataset]:
-    """Foresee all readings with some draws of theta.
+    """Predict all readings with some draws of theta.
 
     Parameters
     ----------
@@ -67,13 +67,13 @@ def predictive_groups(
     observed : xarray.Dataset
         The group ``observed_data``, whose variables and dimensions the result repeats.
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
 
     Returns
     -------
     dict of str to xarray.Dataset
         ``log_likelihood`` [nat] and ``posterior_predictive`` (units of the readings), each over chain, draw and the
-        readings of a kind. Empty when the logs hold no reading that the model foresees.
+        readings of a kind. Empty when the logs hold no reading that the model predicts.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def predictive_groups(
     def one(task: _Task) -> list[dict[str, tuple[Float, Float]]]:
         rng = make_rng(np.random.SeedSequence((seed, 1, task.chain, task.draw)))
         return [
-            _foreseen(log, tables, particles, rng)
+            _predicted(log, tables, particles, rng)
             for log, tables in zip(bound.logs, bound.tables(task.theta), strict=True)
         ]
 
@@ -133,34 +133,34 @@ def _add(
         )
 
 
-def _foreseen(
+def _predicted(
     log: RobotLog, tables: Tables, particles: int, rng: np.random.Generator
 ) -> dict[str, tuple[Float, Float]]:
     """Return, for each kind of reading, log densities and replicated values in the order of the observed data."""
-    made = predict_readings(tables, log.n_steps, particles, rng)
-    replicated = _replicated(log, tables, made, rng)
+    predictions = predict_readings(tables, log.n_steps, particles, rng)
+    replicated = _replicated(log, tables, predictions, rng)
     result = {}
-    for number, kind in enumerate(made.kinds):
-        mine = made.kind == number
+    for number, kind in enumerate(predictions.kinds):
+        selected = predictions.kind == number
         if kind not in replicated:
             continue
         measured = ~np.isnan(log.dataset[kind].values)
         score = np.full(measured.shape, np.nan)
-        over_channels(score)[made.time[mine], made.channel[mine]] = made.log_score[mine]
-        # A model need not foresee every kind of reading that a log holds.
+        over_channels(score)[predictions.time[selected], predictions.channel[selected]] = predictions.log_score[selected]
+        # A model need not predict every kind of reading that a log holds.
         if not np.isnan(score[measured]).any():
             result[kind] = score[measured], replicated[kind][measured]
     return result
 
 
-def _replicated(log: RobotLog, tables: Tables, made: Predictions, rng: np.random.Generator) -> dict[str, Float]:
-    """Draw each row of readings from one particle that has not seen it yet: kind to an array over time and channel.
+def _replicated(log: RobotLog, tables: Tables, predictions: Predictions, rng: np.random.Generator) -> dict[str, Float]:
+    """Draw each row of readings from a particle not yet weighted by it: kind to an array over time and channel.
 
     Particles are resampled at every row, so that before its readings they have equal weights. Readings may depend on
     the state one row before as well: rows are simulated in two halves, in each of which every other row follows the
     particle's own ancestor.
     """
-    filtered = made.filtered
+    filtered = predictions.filtered
     rows = np.arange(log.n_steps)
     which = rng.integers(filtered.particles.shape[2], size=rows.size)
     now = filtered.particles[rows, :, which]
@@ -172,11 +172,11 @@ def _replicated(log: RobotLog, tables: Tables, made: Predictions, rng: np.random
         later = rows[1:][rows[1:] % 2 == parity]
         path[later - 1] = before[later - 1]
         for sensor in tables.sensors:
-            kind = sensor_of(sensor)
-            index = kind.index(kind.simulate(sensor, path, rng), rows.size)
+            sensor_type = sensor_of(sensor)
+            index = sensor_type.index(sensor_type.simulate(sensor, path, rng), rows.size)
             for number, kind in enumerate(index.kinds):
                 if kind in kinds:
-                    mine = (index.kind == number) & (index.time % 2 == parity)
+                    selected = (index.kind == number) & (index.time % 2 == parity)
                     grid = replicated.setdefault(kind, np.full(log.dataset[kind].shape, np.nan))
-                    over_channels(grid)[index.time[mine], index.channel[mine]] = index.reading[mine]
+                    over_channels(grid)[index.time[selected], index.channel[selected]] = index.reading[selected]
     return replicated

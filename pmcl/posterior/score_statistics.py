@@ -1,4 +1,4 @@
-"""Statistics of normal scores that show whether a model foresees readings as well as it claims.
+"""Statistics of normal scores that show whether the predictions of a model are as good as they claim to be.
 
 When the model is right, the sequential probability integral transforms of the readings are independent and uniform
 (Rosenblatt, Annals of Mathematical Statistics 23(3), 1952), so their normal scores are independent standard normals,
@@ -52,16 +52,16 @@ class ScoreSeries(NamedTuple):
 
 
 class Statistic(NamedTuple):
-    """What one number measures.
+    """The meaning of one statistic.
 
     Attributes
     ----------
     name : {"shift", "spread", "shape", "channel shift", "lasting", "lasting together"}
-        "shift": readings are longer (positive) or shorter than foreseen. "spread": they scatter more (positive) or
+        "shift": readings are longer (positive) or shorter than predicted. "spread": they scatter more (positive) or
         less. "channel shift": as "shift", for one beam or landmark. "lasting": errors of a channel resemble its earlier
         ones (positive) or alternate. "lasting together": the same for the mean error of all channels of a row.
     channel : int
-        Beam or landmark of a "channel shift"; -1 elsewhere.
+        Beam or landmark of a "channel shift"; -1 for other statistics.
     time_scale : float
         Decay time of the weight that earlier errors get [s]; 0 where there is none.
     """
@@ -95,7 +95,7 @@ def score_statistics(
     scores = np.concatenate([series.score[:, None], rng.standard_normal((series.score.size, simulations))], axis=1)
     n = series.score.size
     probability = special.ndtr(scores)
-    # The cosine is positive for readings shorter than foreseen.
+    # The cosine is positive for readings shorter than predicted.
     signs = (-1.0, 1.0, 1.0, 1.0)
     values = [
         sign * np.sqrt(2.0 / n) * np.cos((wave + 1) * np.pi * probability).sum(axis=0)
@@ -105,9 +105,9 @@ def score_statistics(
     channels = np.unique(series.channel)
     if channels.size > 1:
         for channel in channels:
-            mine = series.channel == channel
+            selected = series.channel == channel
             names.append(Statistic("channel shift", int(channel)))
-            values.append(scores[mine].sum(axis=0) / np.sqrt(np.count_nonzero(mine)))
+            values.append(scores[selected].sum(axis=0) / np.sqrt(np.count_nonzero(selected)))
     scales = _time_scales(series)
     if scales.size:
         single, together = _lasting(series, scales, scores)
@@ -181,7 +181,7 @@ def _lasting(series: ScoreSeries, scales: Float, scores: Float) -> tuple[Float, 
 
 
 class _PairSums:
-    """Sums over pairs of errors of a channel, by recursion: what is remembered decays from one reading to the next."""
+    """Sums over pairs of errors of a channel, by recursion: earlier errors get weights that decay with time."""
 
     def __init__(self, scales: Float, n_channels: int, n_series: int) -> None:
         self.scales = scales[:, None]

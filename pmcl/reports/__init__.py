@@ -1,7 +1,7 @@
-"""Results told to a reader: figures and one self-contained HTML file.
+"""Results for a reader: figures and self-contained HTML files.
 
 :mod:`~pmcl.reports.figures` draws a posterior, :mod:`~pmcl.reports.posterior_report` puts verdict, table and figures on
-one page, and :mod:`~pmcl.reports.html` is what pages of every kind are made with. This is the only package that imports
+one page, and :mod:`~pmcl.reports.html` makes pages of every kind. This is the only package that imports
 matplotlib. Its output goes to people, through :mod:`pmcl.cli`.
 """
 

@@ -1,4 +1,4 @@
-"""Medians and bands: what a picture shows of values that are too many to be drawn one by one."""
+"""Medians and bands, for values that are too many to be drawn one by one."""
 
 from __future__ import annotations
 

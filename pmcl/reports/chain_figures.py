@@ -39,7 +39,7 @@ _BLOCKS = 25
 
 
 def plot_trace(data: Posterior) -> Figure:
-    """Draws of each parameter, and of the log joint density, in the order they were made, with their histograms.
+    """Draws of each parameter, and of the log joint density, in the order of sampling, with their histograms.
 
     Bold lines are the medians of blocks of draws.
 
@@ -166,7 +166,7 @@ def plot_autocorrelation(data: Posterior) -> Figure:
     """
     theta, names = theta_draws(data), parameter_names(data)
     correlation = autocorrelation(theta)
-    # Up to three times the lag where the slowest parameter has forgotten itself.
+    # Up to three times the lag at which the autocorrelation of the slowest parameter has vanished.
     slow = np.abs(correlation.mean(axis=0)).max(axis=-1) > 0.05
     forgotten = int(np.argmin(slow)) if not slow.all() else len(slow)
     n_lags = min(len(slow), max(20, 3 * forgotten))
@@ -212,7 +212,7 @@ def plot_ess_evolution(data: Posterior) -> Figure:
         for index, name in enumerate(names):
             growth = [measure(np.ascontiguousarray(theta[:, :length, index])) for length in lengths]
             axes.plot(lengths, growth, "o-", color=chain_color(index), label=name, markersize=4)
-        axes.axhline(ESS_LIMIT, color="black", linestyle=":", label=f"at least {ESS_LIMIT:.0f} are wanted")
+        axes.axhline(ESS_LIMIT, color="black", linestyle=":", label=f"at least {ESS_LIMIT:.0f} are required")
         axes.set_xlim(0, None)
         axes.set_ylim(0, None)
         axes.set_title(title, fontsize=10)
@@ -237,7 +237,7 @@ def autocorrelation(theta: Float) -> Float:
     """
     n_draws = theta.shape[1]
     centred = theta - theta.mean(axis=1, keepdims=True)
-    # Twice the length, so that the end of a chain does not meet its beginning.
+    # Twice the length, so that the end of a chain does not overlap its beginning.
     spectrum = np.fft.rfft(centred, n=2 * n_draws, axis=1)
     covariance = np.fft.irfft(np.abs(spectrum) ** 2, axis=1)[:, : max(n_draws // 2, 1)]
     variance = covariance[:, :1]

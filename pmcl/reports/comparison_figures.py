@@ -43,7 +43,7 @@ def plot_comparison(comparison: Comparison) -> Figure:
     for axes, (name, label) in zip(grid, curves, strict=True):
         for number, result in enumerate(comparison.results):
             values = getattr(result.curve, name) - (1.0 if name == "r_hat" else 0.0)
-            # On a logarithmic scale an R-hat below 1, which chance allows, has no place.
+            # An R-hat below 1, which occurs by chance, cannot be drawn on a logarithmic scale.
             shown = np.maximum(values, 1e-4)
             axes.plot(result.curve.wall, shown, ".-", color=chain_color(number), markersize=4, linewidth=1.3)
         axes.set_yscale("log")
@@ -105,7 +105,7 @@ def plot_means(comparison: Comparison) -> Figure:
 
 
 def _reference_error(axes: Axes, comparison: Comparison) -> None:
-    """Below its own Monte Carlo error the reference can tell nothing apart."""
+    """Mark the Monte Carlo error of the reference, below which it cannot distinguish methods."""
     axes.axhspan(axes.get_ylim()[0], comparison.reference.error, color=FAINT, alpha=0.35, linewidth=0)
 
 

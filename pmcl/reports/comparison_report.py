@@ -1,4 +1,4 @@
-"""One page about a comparison of methods: who found the posterior, how well, how soon."""
+"""An HTML page about a comparison of methods: which found the posterior, how well, and how soon."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ __all__ = [
     "write_comparison",
 ]
 
-# A mean that is further from the reference than this many standard errors of the two is another answer, not noise.
+# A mean further from the reference than this many standard errors of the two is a wrong result, not noise.
 _FAR = 4.0
-# Chains further apart than this R-hat have no effective sample size worth telling.
+# Chains with an R-hat above this have no meaningful effective sample size.
 _APART = 1.2
-# A method that took this many times its time is told of.
+# A method that took this many times the time it was given is mentioned.
 _LATE = 1.1
 
 
 class ComparisonVerdict(NamedTuple):
-    """What the comparison comes to.
+    """The conclusion of the comparison.
 
     Attributes
     ----------
     converged : bool
-        Whether the reference can be believed.
+        Whether the reference has converged.
     message : str
         One sentence.
     advice : tuple of str
-        What else a reader should know.
+        Further remarks for the reader.
     """
 
     converged: bool
@@ -56,7 +56,7 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
     ----------
     comparison : Comparison
     path : path-like
-        An older file of that name stays whole until the new one is complete.
+        An older file of that name is replaced only when the new one is complete.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def expected_error(comparison: Comparison, result: MethodResult) -> float:
-    """Return the distance from the reference's mean that Monte Carlo error alone would give [sd of the posterior].
+    """Return the distance from the reference's mean that Monte Carlo error alone would give.
 
     Both errors count: the method's, one over the root of its effective sample size, and the reference's.
     """
@@ -144,7 +144,7 @@ def expected_error(comparison: Comparison, result: MethodResult) -> float:
 
 
 def comparison_verdict(comparison: Comparison) -> ComparisonVerdict:
-    """Say which method won, whether the reference is sound, and who samples something else."""
+    """Return which method won, whether the reference has converged, and which method samples another density."""
     reference = comparison.reference
     right = [
         result
@@ -195,7 +195,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def column_note(comparison: Comparison) -> str:
-    """Say what the columns of the table are, in lines of at most 100 characters."""
+    """Explain the columns of the table, in lines of at most 100 characters."""
     truth = "; truth: from the true parameters" if comparison.truth is not None else ""
     lines = [
         "draws: chains x draws of each. burn-in, time, CPU: seconds. ESS: effective draws of the worst",

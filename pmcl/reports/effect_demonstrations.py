@@ -1,4 +1,4 @@
-"""What an effect does to the data of a small simulated robot, as arrays that a picture can show.
+"""Data of a small simulated robot with and without an effect, as arrays for a picture.
 
 The model with the effect simulates the same drive twice, with the same random numbers: once with the effect at a
 visible size, once without it. Nothing here is drawn by hand, so an effect of a user's own is shown in the same way.
@@ -29,7 +29,7 @@ __all__ = ["Demonstration", "Simulated", "demonstrate"]
 Float = NDArray[np.float64]
 
 _SEED = 4
-# Share of the robots' usual noise that is left where noise would only hide the effect.
+# Share of the robots' usual noise that is kept for effects that noise would hide.
 _QUIET = 0.02
 _USUAL_NOISE = {
     "sigma_forward": 0.01, "sigma_left": 0.005, "sigma_turn": 0.02, "sigma_range": 0.03,
@@ -44,12 +44,12 @@ class Simulated:
     Attributes
     ----------
     path : ndarray, shape (T, 3)
-        Where the robot really went [m, m, rad], map frame.
+        The true path [m, m, rad], map frame.
     columns : mapping of str to ndarray, shape (n,)
         One entry for each step or each reading, e.g. ``"time"`` [s], ``"range error"`` [m].
     points : ndarray, shape (n, 2)
-        Where readings put what they hit, seen from the true pose with the mount that the model without the effect
-        states [m], map frame; empty when an effect changes the motion.
+        End points of the readings, seen from the true pose with the mount of the model without the effect [m], map
+        frame; empty when an effect changes the motion.
     """
 
     path: Float

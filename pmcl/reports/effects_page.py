@@ -1,4 +1,4 @@
-"""The catalogue of effects as text and as one page."""
+"""The catalogue of effects as text and as an HTML page."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def _rows(effect: Effect) -> list[_Row]:
     rows = []
     for k, parameter in enumerate(effect.parameters):
         sizes = [effect.typical[magnitude][k] for magnitude in MAGNITUDES if magnitude in effect.typical]
-        # Places are those of the log that one asks about.
+        # The places are those of a log, and there is none here.
         placed = parameter.name in effect.shape and effect.places is not None
-        told = "" if placed else ", ".join(f"{size:g}" for size in sizes)
-        rows.append(_Row(parameter.name, parameter.unit, parameter.description, told))
+        typical_sizes = "" if placed else ", ".join(f"{size:g}" for size in sizes)
+        rows.append(_Row(parameter.name, parameter.unit, parameter.description, typical_sizes))
     return rows
 
 
@@ -60,7 +60,7 @@ def effects_text(effects: Sequence[Effect] = CATALOGUE) -> str:
     Parameters
     ----------
     effects : sequence of Effect
-        What to list.
+        The effects.
 
     Returns
     -------
@@ -71,15 +71,15 @@ def effects_text(effects: Sequence[Effect] = CATALOGUE) -> str:
         lines += [heading, ""]
         for effect in members:
             lines += _wrapped(effect.summary, first=f"  {effect.name}: ", rest=" " * 6)
-            told = ", ".join(f"{row.name} [{row.unit}]" for row in _rows(effect))
-            lines += _wrapped(told, first=" " * 6, rest=" " * 6)
+            parameters = ", ".join(f"{row.name} [{row.unit}]" for row in _rows(effect))
+            lines += _wrapped(parameters, first=" " * 6, rest=" " * 6)
         lines.append("")
     return "\n".join(lines[:-1])
 
 
 def effect_text(effect: Effect) -> str:
-    """Return all that is known about one effect as lines of text."""
-    lines = [effect.name, "", *_wrapped(effect.summary), "", *_wrapped(effect.look, first="In the data: "), ""]
+    """Return the full description of one effect as lines of text."""
+    lines = [effect.name, "", *_wrapped(effect.summary), "", *_wrapped(effect.symptom, first="In the data: "), ""]
     lines.append(f"Parameters ({', '.join(MAGNITUDES)}):")
     for row in _rows(effect):
         sizes = f" ({row.sizes})" if row.sizes else ""
@@ -102,9 +102,9 @@ def write_effects_page(path: str | os.PathLike[str], effects: Sequence[Effect] =
     Parameters
     ----------
     path : path-like
-        An older file of that name stays whole until the new one is complete.
+        An older file of that name is replaced only when the new one is complete.
     effects : sequence of Effect
-        What to list.
+        The effects.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Figures of a posterior's parameters: each with its prior, and against each other.
 
 The figures about the chains are in :mod:`pmcl.reports.chain_figures`, the robot's path is in
-:mod:`pmcl.reports.path_figure`; they are at hand here as well. Those about the readings are in
+:mod:`pmcl.reports.path_figure`; both can be imported from here as well. Figures about the readings are in
 :mod:`pmcl.reports.residual_figures`.
 """
 
@@ -48,7 +48,7 @@ __all__ = [
 
 Float = NDArray[np.float64]
 
-# More dots than this only fill the cloud and the file.
+# More dots than this make the file larger without showing more.
 _MOST_DOTS = 2000
 # Cells of the grid on which densities of two parameters are smoothed, and the width of the smoothing in cells.
 _GRID, _SMOOTHING = 40, 2.0
@@ -59,7 +59,7 @@ _PRIOR_SHARE = 0.98
 
 
 def plot_marginals(data: Posterior) -> Figure:
-    """Each parameter: its prior over the whole range with the place of the posterior, and the posterior enlarged.
+    """Draw the prior of each parameter with the range of the posterior, and the posterior enlarged.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def plot_marginals(data: Posterior) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        One row for each parameter; without the column of priors where the posterior tells none.
+        One row for each parameter; without the column of priors if the posterior holds none.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _whole_range(axes: Axes, prior: Float, draws: Float) -> None:
 
 
 def plot_pair(data: Posterior) -> Figure:
-    """Parameters against each other, as in the paper's Figure 1.
+    """Draw parameters against each other, as in the paper's Figure 1.
 
     Below the diagonal draws, coloured by chain; above it the smallest regions that hold 50 % and 90 % of the draws,
     and the correlation; on it histograms, with the prior density on a scale of its own. Dashed lines are true values.
@@ -182,7 +182,7 @@ def _marginal(axes: Axes, data: Posterior, name: str, draws: Float) -> None:
         density = np.asarray(prior["prior_density"].values, dtype=np.float64)
         top = np.nanmax(density, initial=0.0)
         if top > 0.0:
-            # On the posterior's scale most priors would be a line at zero.
+            # On the scale of the posterior most priors would be a line at zero.
             axes.plot(prior["prior_grid"], density * (0.6 * axes.get_ylim()[1] / top), color=PRIOR, linewidth=1.6)
 
 
@@ -209,13 +209,13 @@ def _regions(axes: Axes, horizontal: Float, vertical: Float) -> None:
     axes.contourf(x, y, density.T, levels=[*levels, density.max() * 1.001], colors=_REGION_COLORS[-len(levels) :])
     correlation = float(np.corrcoef(across, up)[0, 1])
     place: dict[str, Any] = {"ha": "right", "va": "top", "transform": axes.transAxes}
-    # On a ground of its own, since a true value may run through it.
+    # The text has a background of its own, because the line of a true value may cross it.
     ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
     axes.text(0.97, 0.97, f"r = {correlation:+.2f}", fontsize=9, bbox=ground, **place)
 
 
 def _true_lines(axes: Axes, horizontal: float | None, vertical: float | None) -> None:
-    # A truth far outside would shrink the posterior to a dot: then keep the limits and show no line.
+    # A true value far outside would shrink the posterior to a dot; then the limits stay and no line is drawn.
     x_limits, y_limits = axes.get_xlim(), axes.get_ylim()
     if horizontal is not None:
         axes.axvline(horizontal, **TRUTH)

@@ -1,4 +1,4 @@
-"""Pages that are one file: templates filled with escaped text, pictures inside, nothing loaded from elsewhere."""
+"""Self-contained HTML pages: templates filled with escaped text, with the pictures inside the file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Picture", "embedded", "page", "picture", "write_page"]
 _DOTS_PER_INCH = 140
 _PIXELS_PER_INCH = 96
 # A figure may shrink to this share of its size before its letters of 10 points are hard to read. On a screen that is
-# narrower still the reader moves it to and fro.
+# narrower still the reader scrolls sideways.
 _LEAST_SHARE = 0.6
 
 
@@ -73,7 +73,7 @@ def embedded(figure: Figure) -> str:
         A ``data:`` address of a PNG image.
     """
     buffer = io.BytesIO()
-    # Neither version nor date, so that the same posterior gives the same file.
+    # The file holds neither version nor date, so that the same posterior gives the same file.
     figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
@@ -86,7 +86,7 @@ def page(template: str, **content: Any) -> str:
     template : str
         Name of a file in ``pmcl/reports/templates``.
     **content
-        What the template asks for; a name that is missing is an error.
+        Variables of the template; a missing one is an error.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def page(template: str, **content: Any) -> str:
 
 
 def write_page(text: str, path: str | os.PathLike[str]) -> None:
-    """Write a page; an older file of that name stays whole until the new one is complete.
+    """Write a page; an older file of that name is replaced only when the new one is complete.
 
     Parameters
     ----------

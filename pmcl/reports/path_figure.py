@@ -1,4 +1,4 @@
-"""The figure of a robot's path: where it was, how well that is known, and how far it is from the reference."""
+"""The figure of a robot's path, its uncertainty, and its distance from the reference."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def plot_trajectory(data: Posterior, log: int = 0) -> Figure:
     ----------
     data : arviz.InferenceData or xarray.DataTree
     log : int
-        Which log, from 0.
+        Position of the log, from 0.
 
     Returns
     -------
@@ -81,11 +81,11 @@ def _draw_map(axes: Axes, data: Posterior, suffix: str) -> None:
 
 
 def _draw_path(axes: Axes, paths: Float, path: PathSummary, truth: Float | None) -> list[Any]:
-    """Draw the mean path in its 90 % ellipses; return what stands for the ellipses in the legend."""
+    """Draw the mean path in its 90 % ellipses; return the ellipses' entry for the legend."""
     rows = evenly_spaced(len(path.times), _MOST_ELLIPSES)
     axes.add_collection(_ellipses(axes, paths[:, rows, :2], path.mean[rows, :2]))
     if truth is not None:
-        # Below the mean path: black is seen where the two differ.
+        # The reference is drawn below the mean path, so that it is visible only where the two differ.
         axes.plot(truth[:, 0], truth[:, 1], color="black", linewidth=1.0, label="true path")
     axes.plot(path.mean[:, 0], path.mean[:, 1], color=POSTERIOR, linewidth=1.1, label="mean path")
     marks: dict[str, Any] = {"color": POSTERIOR, "markersize": 8, "linestyle": "", "zorder": 4}
@@ -109,7 +109,7 @@ def _ellipses(axes: Axes, positions: Float, centres: Float) -> EllipseCollection
 
 
 def _draw_spread(position: Axes, heading: Axes, path: PathSummary, truth: Float | None) -> list[Any]:
-    """Draw standard deviations and errors over time; return what stands for them in the legend."""
+    """Draw standard deviations and errors over time; return their entries for the legend."""
     handles: list[Any] = [Line2D([], [], color=POSTERIOR, label="posterior standard deviation")]
     position.plot(path.times, np.hypot(path.sd[:, 0], path.sd[:, 1]), color=POSTERIOR, linewidth=1.0, zorder=3)
     heading.plot(path.times, path.sd[:, 2], color=POSTERIOR, linewidth=1.0, zorder=3)

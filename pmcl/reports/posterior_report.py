@@ -1,4 +1,4 @@
-"""One page about a posterior: verdict, path, parameters, readings, chains and settings, in this order."""
+"""An HTML page about a posterior: verdict, path, parameters, readings, chains and settings, in this order."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from pmcl.reports.tables import parameter_table, summary_text
 
 __all__ = ["Half", "summary_text", "write_report"]
 
-# Pictures of more logs than this make the page heavy and say little new.
+# Pictures of more logs than this make the page large and show little more.
 _MOST_LOGS = 6
 
 _PARAMETER_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] = (
@@ -39,7 +39,7 @@ _PARAMETER_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] =
         "Prior and posterior",
         plot_marginals,
         "Left: the prior in grey, and in blue the 90 % interval of the posterior on the same scale. A narrow blue "
-        "stripe on a wide prior means that the log tells the parameter; where they are equally wide, it tells little. "
+        "stripe on a wide prior means that the log determines the parameter; if both are as wide, it shows little. "
         "Right: the posterior enlarged.",
     ),
     (
@@ -53,7 +53,7 @@ _CHAIN_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] = (
     (
         "Traces",
         plot_trace,
-        "Draws in the order in which they were made; bold lines are medians of blocks of draws. Chains that have "
+        "Draws in the order of sampling; bold lines are medians of blocks of draws. Chains that have "
         "converged look alike, without drift; one whose log joint stays below the others is lost.",
     ),
     (
@@ -75,7 +75,7 @@ _CHAIN_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] = (
 )
 
 
-# Meanings of what the sampler tells of each draw.
+# Meanings of the sampler's statistics of each draw.
 _STATISTICS = {
     "lp": "log joint density of parameters, path and readings [nat]",
     "acceptance_rate": "share of one-dimensional proposals that were accepted",
@@ -94,7 +94,7 @@ class Half(NamedTuple):
     Attributes
     ----------
     text : str
-        In a few words.
+        The answer in a few words.
     state : str
         ``"yes"``, ``"no"`` or ``"unknown"``.
     """
@@ -110,7 +110,7 @@ def write_report(data: Posterior, path: str | os.PathLike[str]) -> None:
     ----------
     data : arviz.InferenceData or xarray.DataTree
     path : path-like
-        An older file of that name stays whole until the new one is complete.
+        An older file of that name is replaced only when the new one is complete.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _residual_pictures(data: Posterior, logs: tuple[LogSummary, ...]) -> list[Pi
 
 
 def _moves(data: Posterior) -> list[tuple[str, ...]]:
-    """Name, mean in each chain, and meaning of each statistic."""
+    """Return name, mean in each chain, and meaning of each statistic."""
     rows: list[tuple[str, ...]] = []
     for name, values in find_group(data, "sample_stats").data_vars.items():
         if "draw" not in values.dims or values.dtype.kind not in "fiub":
@@ -226,7 +226,7 @@ def _numbers(values: xr.DataArray) -> list[str]:
 
 
 def _meanings(data: Posterior) -> list[tuple[str, str, str]]:
-    """Name, meaning and prior of each parameter that tells one of the two."""
+    """Return name, meaning and prior of each parameter that has a meaning or a prior."""
     posterior = find_group(data, "posterior")
     rows = [
         (name, str(posterior[name].attrs.get("long_name", "")), str(posterior[name].attrs.get("prior", "")))

@@ -1,4 +1,4 @@
-"""The settings of a run as a table: what was set, to what, and what it means."""
+"""The settings of a run as a table of names, values and meanings."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SettingsTable(NamedTuple):
     Attributes
     ----------
     rows : tuple of (str, str, str)
-        Name, value and meaning; the best known first.
+        Name, value and meaning; the most important first.
     model : str
         The model file of the run; empty when the posterior does not hold it.
     """
@@ -49,7 +49,7 @@ class SettingsTable(NamedTuple):
 
 
 def settings_table(settings: Mapping[str, object]) -> SettingsTable:
-    """Sort the settings of a run for a reader.
+    """Return the settings of a run as a table, the most important first.
 
     Parameters
     ----------

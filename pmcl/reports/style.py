@@ -1,4 +1,4 @@
-"""One look for all figures: colours, labels, sizes."""
+"""The common style of all figures: colours, labels, sizes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _LETTERS_PER_INCH = 11.0
 
 
 def chain_color(chain: int) -> str:
-    """Colour of a chain, the same in all figures.
+    """Return the colour of a chain, which is the same in all figures.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def labelled(name: str, unit: str, *, narrow: bool = False) -> str:
 
 
 def tidy(axes: Axes) -> None:
-    """Take the upper and right frame away, and write the numbers at the ticks in full.
+    """Remove the upper and right frame, and write the numbers at the ticks in full.
 
     Call it after the scales are set.
 

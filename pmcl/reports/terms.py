@@ -19,7 +19,7 @@ class Term(NamedTuple):
     Attributes
     ----------
     name : str
-        As it is explained.
+        The term as the explanation shows it.
     pattern : str
         Regular expression of the forms in which pages use it.
     explanation : str
@@ -122,7 +122,7 @@ TERMS: tuple[Term, ...] = (
 )
 """In the order of their use on a posterior's page."""
 
-# Elements whose text is not running text, and elements that only hold others.
+# Elements whose text is not running text, and elements that only contain others.
 _SILENT = frozenset({"style", "title", "code", "pre", "abbr", "h1", "h2", "h3"})
 _CONTAINERS = frozenset({"html", "head", "body", "main", "section"})
 _VOID = frozenset({"meta", "link", "br", "hr", "img", "input", "wbr", "col"})
@@ -136,12 +136,12 @@ def explain_terms(text: str, terms: tuple[Term, ...] = TERMS) -> str:
     text : str
         A page (HTML).
     terms : tuple of Term
-        What to explain.
+        The terms to explain.
 
     Returns
     -------
     str
-        The page; everything else on it is as it was.
+        The page, otherwise unchanged.
     """
     writer = _Writer(terms)
     writer.feed(text)
@@ -150,7 +150,7 @@ def explain_terms(text: str, terms: tuple[Term, ...] = TERMS) -> str:
 
 
 class _Writer(HTMLParser):
-    """Writes the page that it reads, with marks and explanations."""
+    """Copies the page that it parses, and adds marks and explanations."""
 
     def __init__(self, terms: tuple[Term, ...]) -> None:
         super().__init__(convert_charrefs=False)

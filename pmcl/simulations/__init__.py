@@ -1,9 +1,9 @@
-"""Robots that exist only as numbers: simulators that log as the real ones do, with the truth beside.
+"""Simulated robots, whose logs have the format of recorded logs and hold the true path and parameters as well.
 
-:mod:`~pmcl.simulations.simulate` draws paths and readings from coefficient tables, the exact counterpart of the densities in
-:mod:`pmcl.filtering.kernels`; :mod:`~pmcl.simulations.amigobot` and
-:mod:`~pmcl.simulations.aibo` are the paper's robots and :mod:`~pmcl.simulations.landmark_field` a plain case for tests and
-benchmarks. Their logs go wherever recorded logs go.
+:mod:`~pmcl.simulations.simulate` draws paths and readings from coefficient tables, the exact counterpart of the
+densities in :mod:`pmcl.filtering.kernels`. :mod:`~pmcl.simulations.amigobot` and :mod:`~pmcl.simulations.aibo` are the
+paper's robots, and :mod:`~pmcl.simulations.landmark_field` is a simple case for tests and benchmarks. Their logs can be
+used like recorded ones.
 """
 
 from __future__ import annotations

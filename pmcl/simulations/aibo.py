@@ -63,7 +63,7 @@ def simulate_aibo(
         Length of the log [s]; one row per second, at least two. The paper trains on 400 s and 1000 s and tests on
         sixteen minutes (960 s).
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
     theta : mapping of str to float, optional
         True ``sigma_forward`` [m], ``sigma_left`` [m], ``sigma_turn`` [rad], ``sigma_bearing`` [rad] and ``sigma_size``
         [1]. Those that are left out are drawn from the gamma priors of the default model.
@@ -71,8 +71,8 @@ def simulate_aibo(
         Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
         :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
     hide_effects : bool
-        Whether the log keeps silent about them; otherwise their values join ``true_theta``, and the attribute
-        ``effects`` tells name and place.
+        Whether the log does not mention them. Otherwise ``true_theta`` holds their values, and the attribute
+        ``effects`` their names and places.
     where : str
         The caller, for messages.
 
@@ -92,11 +92,12 @@ def simulate_aibo(
     The field is 2.7 m by 1.8 m. The camera looks ahead and sees the landmarks whose true direction is in its field of
     view of 57.6 degrees; of each the log holds the angle and the number of pixels, both noisy. The ideal number falls
     with the square of the distance, and the noise is on the *ratio* of observed to ideal number, so that it is the same
-    share near and far. A number that the noise brings to zero or below is no sighting; with a ``sigma_size`` of 0.2
-    that happens to one sighting in three million, with 0.4 to one in 160. Which landmarks are seen says something of
+    share near and far. A number that the noise makes zero or negative is no sighting; with a ``sigma_size`` of 0.2
+    that happens to one sighting in three million, with 0.4 to one in 160. Which landmarks are seen depends on
     the pose as well; the model of the paper does not use that.
 
-    The robot is steered from its true pose through waypoints, as :func:`pmcl.simulations.amigobot.simulate_amigobot` is.
+    The robot is steered from its true pose through waypoints, as in
+    :func:`pmcl.simulations.amigobot.simulate_amigobot`.
 
     References
     ----------
@@ -111,7 +112,7 @@ def simulate_aibo(
     path, command = drive(start, _driver(), [truth[p.name] for p in motion.parameters], n_steps, rng)
 
     def logged(readings: Mapping[str, Float], affected: Affected | None = None) -> RobotLog:
-        told = affected is not None and not hide_effects
+        shown = affected is not None and not hide_effects
         return RobotLog.build(
             time=_PERIOD * np.arange(n_steps),
             odometry=command,
@@ -122,13 +123,13 @@ def simulate_aibo(
             start_mean=_START,
             start_std=_START_STD,
             true_poses=path,
-            true_theta=affected.true_theta if affected and told else truth,
-            attributes={"effects": affected.described()} if affected and told and effects else None,
+            true_theta=affected.true_theta if affected and shown else truth,
+            attributes={"effects": affected.described()} if affected and shown and effects else None,
             robot="AIBO (simulated)",
             source=f"pmcl.simulations.aibo, seed {seed}",
             seed=seed,
             where=where,
-            warn=False,  # half-made logs are no mistakes
+            warn=False,  # an unfinished log may look like a mistake
         )
 
     seen = np.where(_in_view(path), 1.0, np.nan)

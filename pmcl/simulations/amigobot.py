@@ -29,7 +29,7 @@ _MOUNTS = (
     (125, -75, -41), (76, -100, -90), (-140, -58, -145), (-140, 58, 145),
 )  # fmt: skip
 AMIGOBOT_BEAMS = np.array([(x / 1000.0, y / 1000.0, math.radians(angle)) for x, y, angle in _MOUNTS])
-"""Where the eight sonars sit on the robot [m, m, rad], shape (8, 3)."""
+"""Poses of the eight sonars on the robot [m, m, rad], shape (8, 3)."""
 
 AMIGOBOT_ROOM = WallMap.from_polygon([(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (2.0, 2.0), (2.0, 3.0), (0.0, 3.0)])
 """The room: an L of two arms 2 m wide within a square of 3 m."""
@@ -62,21 +62,21 @@ def simulate_amigobot(
     duration : float
         Length of the log [s]; one row per second, at least two.
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
     theta : mapping of str to float, optional
         True ``sigma_forward`` [m], ``sigma_left`` [m], ``sigma_turn`` [rad] and ``sigma_range`` [m]. Those that are
         left out are drawn from the gamma priors of the default model.
     room : WallMap, optional
         Another room than the paper's L; it needs `waypoints` of its own.
     waypoints : array_like, shape (K, 2), optional
-        Where to drive, round and round [m], map frame; in a room of the caller's own the robot starts at the last one,
-        heading along the x axis. Keep 0.5 m from walls.
+        Points of a closed route [m], map frame; in a room of the caller's own the robot starts at the last one, heading
+        along the x axis. Keep 0.5 m from walls.
     effects : sequence, optional
         Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
         :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
     hide_effects : bool
-        Whether the log keeps silent about them; otherwise their values join ``true_theta``, and the attribute
-        ``effects`` tells name and place.
+        Whether the log does not mention them. Otherwise ``true_theta`` holds their values, and the attribute
+        ``effects`` their names and places.
     where : str
         The caller, for messages.
 
@@ -116,7 +116,7 @@ def simulate_amigobot(
     path, command = drive(start, _driver(points), [truth[p.name] for p in motion.parameters], n_steps, rng)
 
     def logged(ranges: np.ndarray, affected: Affected | None = None) -> RobotLog:
-        told = affected is not None and not hide_effects
+        shown = affected is not None and not hide_effects
         return RobotLog.build(
             time=_PERIOD * np.arange(n_steps),
             odometry=command,
@@ -127,16 +127,16 @@ def simulate_amigobot(
             start_mean=expected,
             start_std=_START_STD,
             true_poses=path,
-            true_theta=affected.true_theta if affected and told else truth,
-            attributes={"effects": affected.described()} if affected and told and effects else None,
+            true_theta=affected.true_theta if affected and shown else truth,
+            attributes={"effects": affected.described()} if affected and shown and effects else None,
             robot="Amigobot (simulated)",
             source=f"pmcl.simulations.amigobot, seed {seed}",
             seed=seed,
             where=where,
-            warn=False,  # half-made logs are no mistakes
+            warn=False,  # an unfinished log may look like a mistake
         )
 
-    # The model itself makes the readings, from a log in which every sonar was read at every row.
+    # The model simulates the readings, from a log in which every sonar was read at every row.
     empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
     affected = affected_by(effects, empty, seed, motion, sensor, truth)
     if affected.moves_differently:

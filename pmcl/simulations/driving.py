@@ -1,8 +1,8 @@
 """Steering a simulated robot through waypoints.
 
-Steering looks at the true pose, so the commands tell something of the noise before them. Inference takes odometry as
-given and does not use that; to first order in the noise the posterior is what it would be with commands fixed before.
-For tests that need this to be exact, draw a path with :func:`pmcl.simulations.simulate.simulate_path` from fixed odometry.
+Steering uses the true pose, so the commands depend on the noise before them. Inference takes odometry as given and does
+not use that; to first order in the noise the posterior is the same as with commands fixed in advance. For tests that
+need this to be exact, draw a path with :func:`pmcl.simulations.simulate.simulate_path` from fixed odometry.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ Float = NDArray[np.float64]
 
 @dataclass
 class WaypointDriver:
-    """Turn towards the next waypoint, then go; after the last one comes the first again.
+    """Turn towards the next waypoint, then drive; the first one follows the last one.
 
     Attributes
     ----------
     waypoints : ndarray, shape (K, 2)
-        Where to go [m], map frame.
+        Points of a closed route [m], map frame.
     step : float
         Longest forward increment [m].
     turn : float

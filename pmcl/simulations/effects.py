@@ -1,8 +1,8 @@
 """Simulated robots with effects that plain models lack.
 
-The effect edits the very tables from which paths and readings are drawn, so a simulated effect has exactly the density
-that a model with the effect infers with. Odometry stays what the robot logged; an effect of the motion changes where
-the robot really went, and the robot, which is steered from its true pose, reacts to it.
+The effect edits the tables from which paths and readings are drawn, so that a simulated effect has exactly the density
+of a model with the effect. Odometry stays as the robot logged it; an effect of the motion changes the true path, and
+the robot, which is steered from its true pose, reacts to it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Given = str | tuple[Effect, Sequence[float]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Unfolding(RobotLog):
-    """A log whose odometry is still being driven; rows to come are zero."""
+    """A log during the drive: odometry of rows that are not driven yet is zero."""
 
     command: Float = field(default_factory=lambda: np.zeros((0, 3)))
 
@@ -70,7 +70,7 @@ class Affected:
 
     @property
     def moves_differently(self) -> bool:
-        """Whether any effect changes where the robot goes."""
+        """Whether any effect changes the true path."""
         return any(effect.carrier == "motion" for effect in self.effects)
 
     @property
@@ -85,7 +85,7 @@ class Affected:
 
     def described(self) -> str:
         """Return the effects as JSON: name, place and values of each."""
-        told = [
+        descriptions = [
             {
                 "name": effect.name,
                 "where": {key: list(place) for key, place in effect.where.items()},
@@ -93,7 +93,7 @@ class Affected:
             }
             for effect, values in zip(self.effects, self.values, strict=True)
         ]
-        return json.dumps(told)
+        return json.dumps(descriptions)
 
     def tables(self, log: RobotLog) -> Tables:
         """Return the true coefficient tables of a log."""
@@ -116,7 +116,7 @@ class Affected:
         Parameters
         ----------
         log : RobotLog
-            Times and map; its odometry does not matter.
+            The log; only its times and its map are used.
         start : ndarray, shape (3,)
             First pose.
         steer : callable
@@ -134,7 +134,7 @@ class Affected:
         Raises
         ------
         ModelError
-            When an effect lets the robot move by commands that it has not yet got.
+            When an effect makes the motion depend on commands of later rows.
         """
         command = np.zeros((log.n_steps, 3))
         unfolding = _Unfolding(log.dataset, log.where, command)
@@ -150,7 +150,7 @@ class Affected:
         scratch = np.empty((int(contract.scratch_rows(tables.motion)), 1))
         for t in range(1, log.n_steps):
             command[t] = steer(path[t - 1])
-            # Only odometry is new, and the rows to come do not matter yet.
+            # Only odometry is new, and later rows are not used yet.
             motion = self._edited(plain._replace(motion=self._table(self.motion, unfolding)), unfolding).motion
             before = current.copy()
             contract.propagate(motion, t, rng, before, current, scratch)
@@ -167,18 +167,25 @@ class Affected:
 def check_given(given: Any, hide: Any) -> None:
     """Check the types of effects to simulate, before anything is simulated.
 
+    Parameters
+    ----------
+    given : Any
+        The argument ``effects``, which should be a list of texts and of pairs of an effect and its values.
+    hide : Any
+        The argument ``hide_effects``, which should be True or False.
+
     Raises
     ------
     ModelError
-        When they are no list of texts and of pairs of an effect and its values, or `hide` is no truth value.
+        When one of them is of another type.
     """
     check_type("effects", given, (list, tuple), error=ModelError, advice="write a list, also around one effect")
-    for one in given:
-        pair = isinstance(one, tuple | list) and len(one) == 2 and isinstance(one[0], Effect)
-        if not isinstance(one, str) and not pair:
+    for entry in given:
+        pair = isinstance(entry, tuple | list) and len(entry) == 2 and isinstance(entry[0], Effect)
+        if not isinstance(entry, str) and not pair:
             raise ModelError(
-                f"expected each effect as text or as a pair of an effect and its values, but got {type(one).__name__}; "
-                "write for example 'range-bias=0.05'"
+                "expected each effect as text or as a pair of an effect and its values, but got "
+                f"{type(entry).__name__}; write for example 'range-bias=0.05'"
             )
     check_flag("hide_effects", hide, error=ModelError)
 
@@ -193,7 +200,7 @@ def affected_by(
     given : sequence of str or (Effect, values)
         Texts as for :func:`pmcl.models.effects.selection.parse_effect`.
     log : RobotLog
-        The same simulation without them; it decides what can be shown and which places there are.
+        The same simulation without them; it decides which effects can be simulated and which places exist.
     seed : int
         Seed of the simulation; places that are not given follow from it.
     motion, sensor : Part

@@ -1,4 +1,4 @@
-"""A robot among landmarks in a field: the plain case for tests and benchmarks, nearly Gaussian and never ambiguous."""
+"""A robot among landmarks in a field: a simple case for tests and benchmarks, nearly Gaussian and never ambiguous."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pmcl.simulations.simulate import draw_theta, make_rng
 __all__ = ["simulate_landmark_field"]
 
 _SIDE = 20.0
-# An uneven loop, 4 m or more inside the border: landmarks come by at 4 to 20 m, and the robot turns both ways.
+# An uneven loop, 4 m or more inside the border: landmarks are 4 to 20 m away, and the robot turns both ways.
 _WAYPOINTS = np.array(
     [(15.0, 5.0), (15.5, 11.0), (11.0, 10.0), (10.0, 15.0), (5.0, 15.5), (4.5, 9.0), (8.0, 7.0), (5.0, 4.5)]
 )
@@ -52,14 +52,14 @@ def simulate_landmark_field(
     n_steps : int
         Rows T, one per second; steps of 0.5 m.
     seed : int
-        All randomness follows from it.
+        Determines all random numbers.
     theta : mapping of str to float, optional
         Replaces some of the true values sigma_forward 0.05 m, sigma_left 0.03 m, sigma_turn 0.03 rad,
         sigma_landmark_range 0.3 m, sigma_bearing 0.05 rad.
     n_landmarks : int
         Number of landmarks J, evenly along the border.
     ranges, bearings : bool
-        What the robot reads of each landmark.
+        Whether the robot reads distances and bearings.
     reach : float
         Landmarks whose true distance is greater are not seen [m].
     field_of_view : float
@@ -68,8 +68,8 @@ def simulate_landmark_field(
         Effects that the default model lacks: texts such as ``"beam-bias@2=0.06"``, ``"range-scale=large"`` (see
         :func:`pmcl.models.effects.selection.parse_effect`), or pairs of an effect and its values.
     hide_effects : bool
-        Whether the log keeps silent about them; otherwise their values join ``true_theta``, and the attribute
-        ``effects`` tells name and place.
+        Whether the log does not mention them. Otherwise ``true_theta`` holds their values, and the attribute
+        ``effects`` their names and places.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def simulate_landmark_field(
     positions = _border(n_landmarks)
 
     def logged(readings: dict[str, np.ndarray], affected: Affected | None = None) -> RobotLog:
-        told = affected is not None and not hide_effects
+        shown = affected is not None and not hide_effects
         return RobotLog.build(
             time=np.arange(n_steps, dtype=float),
             odometry=command,
@@ -105,18 +105,18 @@ def simulate_landmark_field(
             start_mean=_START,
             start_std=_START_STD,
             true_poses=path,
-            true_theta=affected.true_theta if affected and told else truth,
-            attributes={"effects": affected.described()} if affected and told and effects else None,
+            true_theta=affected.true_theta if affected and shown else truth,
+            attributes={"effects": affected.described()} if affected and shown and effects else None,
             robot="robot in a landmark field (simulated)",
             source=f"pmcl.simulations.landmark_field, seed {seed}",
             seed=seed,
             where="simulate_landmark_field",
-            warn=False,  # half-made logs are no mistakes
+            warn=False,  # an unfinished log may look like a mistake
             landmark_range=readings.get("range"),
             landmark_bearing=readings.get("bearing"),
         )
 
-    used = [name for name, wanted in (("range", ranges), ("bearing", bearings)) if wanted]
+    used = [name for name, is_read in (("range", ranges), ("bearing", bearings)) if is_read]
     empty = logged(dict.fromkeys(used, _seen(positions, path, reach, field_of_view)))
     affected = affected_by(effects, empty, seed, motion, sensor, truth)
     if affected.moves_differently:

@@ -16,12 +16,12 @@ Float = NDArray[np.float64]
 
 
 def draw_sightings(table: Any, log: RobotLog, path: Float, rng: np.random.Generator) -> dict[str, Float]:
-    """Let the model itself make the readings.
+    """Simulate readings of landmarks by the model.
 
     Parameters
     ----------
     table : NamedTuple
-        Landmark sightings under the true parameters; its own readings say only what is read when.
+        Landmark sightings under the true parameters; its readings only show which landmarks are read at which row.
     log : RobotLog
         The log that the table was made from.
     path : ndarray, shape (T, 3)

@@ -1,6 +1,6 @@
-"""Draws from what a model says: theta, paths and readings, the counterparts of the densities that pmcl infers with.
+"""Draws of theta, paths and readings from a model, the counterparts of the densities that pmcl infers with.
 
-Noise is never redrawn, clipped or rejected to keep a robot in its room: whatever a simulator throws away is an effect
+Noise is never redrawn, clipped or rejected to keep a robot in its room: a simulator that rejects draws has an effect
 that no model of the log contains. A robot stays inside because it is steered (:mod:`pmcl.simulations.driving`).
 """
 
@@ -65,7 +65,7 @@ def check_run(duration: float, period: float, seed: int, where: str) -> int:
 def draw_theta(
     parameters: Sequence[Parameter], given: Mapping[str, float] | None, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Draw true parameters from their priors, but for those that are given.
+    """Draw true parameters from their priors, except those that are given.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def draw_theta(
     given : mapping of str to float, optional
         Values of some of them, in their SI units.
     rng : numpy.random.Generator
-        Every parameter takes its draw, given or not, so that giving one leaves the others as they were.
+        Source of randomness. A given parameter takes its draw as well, so that the others do not change.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def simulate_path(motion: Any, start: Any, rng: np.random.Generator) -> Float:
 
 
 def _propagated(motion: Any, path: Float, rng: np.random.Generator) -> Float:
-    """Fill a path row by row with the model's own `propagate`, as Python: for table types that pmcl does not know."""
+    """Fill a path row by row with the model's own `propagate` in Python, for table types that pmcl does not know."""
     scratch = np.empty((int(contract.scratch_rows(motion)), 1))
     current = np.empty((path.shape[1], 1))
     for t in range(1, path.shape[0]):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from pmcl.criticism.findings.assemble import filled_in
+from pmcl.criticism.fitting.held_out import Gain
+from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.naming.choice import contenders
 from pmcl.criticism.naming.formulas import formulas, steady_changes, wave
 from pmcl.criticism.workflow import criticize
@@ -37,12 +38,17 @@ def library():
     return log, tables, {effect.name: effect for effect in formulas(log, tables, path)}
 
 
+def _trial(effect, gain):
+    none = Gain(0.0, 0.0)
+    return Trial(effect, None, None, None, 0.0, Gain(gain, 5.0), none, none)
+
+
 def test_a_formula_is_no_reason_to_drop_a_known_effect_that_gains_much_at_a_glance(library):
     """Noise that depends on something takes up much of what, say, a large offset of the sensor causes."""
     log, _, library = library
-    rule = SimpleNamespace(effect=library["formula: log sigma_forward += c*speed"], merit=75.0)
-    known = SimpleNamespace(effect=effect_named("sensor-offset", log), merit=50.0)
-    little = SimpleNamespace(effect=effect_named("odometry-arc", log), merit=10.0)
+    rule = _trial(library["formula: log sigma_forward += c*speed"], 75.0)
+    known = _trial(effect_named("sensor-offset", log), 50.0)
+    little = _trial(effect_named("odometry-arc", log), 10.0)
     assert contenders([known, little], [rule]) == [known]
     assert contenders([little], [rule]) == []
 
@@ -61,12 +67,12 @@ def test_formulas_do_what_they_say(library):
     assert sum("[x in" in name for name in library) >= 4
     longer = library["formula: range += c*cos(world_direction)"].edit(tables, [0.05], log).sensors[0]
     direction = heading[:, None] + log.beam_poses[:, 2]
-    np.testing.assert_allclose(longer.bias_at, 0.05 * np.cos(direction), atol=1e-12)
+    np.testing.assert_allclose(longer.extras.bias_at, 0.05 * np.cos(direction), atol=1e-12)
 
 
 def test_noise_of_ranges_follows_a_rule(library):
     log, tables, library = library
-    factor = library["formula: log sigma_range += c*abs(turn_rate)"].edit(tables, [1.5], log).sensors[0].std_factor
+    factor = library["formula: log sigma_range += c*abs(turn_rate)"].edit(tables, [1.5], log).sensors[0].extras.std_factor
     np.testing.assert_allclose(factor[1:], np.exp(1.5 * np.abs(log.odometry[1:, 2])))
     plain = formulas(log, tables, np.array(log.true_poses), of_noise=False)
     assert not any("sigma" in effect.name for effect in plain)
@@ -83,7 +89,7 @@ def test_null_changes_nothing_and_parts_of_a_log_work(library):
         np.testing.assert_array_equal(same.motion.std, tables.motion.std)
         edited = effect.edit(short, effect.magnitude("clear"), part)
         assert edited.motion.mean.shape == (50, 3)
-        assert getattr(edited.sensors[0], "bias_at", np.zeros((50, 8))).shape == (50, 8)
+        assert getattr(edited.sensors[0].extras, "bias_at", np.zeros((50, 8))).shape == (50, 8)
 
 
 def test_formulas_are_effects_of_an_ordinary_model(library):
@@ -109,8 +115,12 @@ def test_every_formula_reads_the_same_from_a_model_file(library):
         assert model_text(replace(base, effects=(back,), priors=model_of_text(text, log).priors), log) == text
         before, after = effect.edit(tables, [0.037], log), back.edit(tables, [0.037], known)
         for one, other in zip((before.motion, *before.sensors), (after.motion, *after.sensors), strict=True):
-            for name, value in one._asdict().items():
-                np.testing.assert_array_equal(value, getattr(other, name), err_msg=f"{effect.name}: {name}")
+            assert type(one) is type(other)
+            for table, like in ((one, other), (one.extras, other.extras)):
+                for name in set(table._fields) - {"extras"}:
+                    np.testing.assert_array_equal(
+                        getattr(table, name), getattr(like, name), err_msg=f"{effect.name}: {name}"
+                    )
         if not path_formulas((back,)):
             again = back.edit(tables, [0.037], log)
             np.testing.assert_array_equal(again.motion.mean, before.motion.mean)

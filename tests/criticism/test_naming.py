@@ -20,7 +20,15 @@ from pmcl.criticism.naming.choice import (
     with_formulas,
 )
 from pmcl.criticism.naming.scan import scan
-from pmcl.criticism.naming.shortlist import of_carrier, of_sensors, of_whole_robot, shortlist, untried, untried_twins
+from pmcl.criticism.naming.shortlist import (
+    RankedEffect,
+    of_carrier,
+    of_sensors,
+    of_whole_robot,
+    shortlist,
+    untried,
+    untried_twins,
+)
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
@@ -106,7 +114,7 @@ def test_nothing_is_refitted_twice():
     log = simulate_landmark_field(60, 1, bearings=True)
     base = np.zeros(100)
     trials = [made_trial(name, log, base, base) for name in ("sensor-yaw", "bearing-bias")]
-    offered = [(effect_named(name, log), 1.0) for name in ("sensor-yaw", "landmark-range-bias")]
+    offered = [RankedEffect(effect_named(name, log), 1.0) for name in ("sensor-yaw", "landmark-range-bias")]
     assert [effect.name for effect, _ in untried(offered, trials)] == ["landmark-range-bias"]
 
 

@@ -54,8 +54,8 @@ def test_shares_of_a_log_keep_their_meaning_in_its_first_rows():
     drift = effect_named("range-bias-drifts")
     bound = RobotModel(sensors=default_model(log).sensors, effects=(drift,)).bind(log)
     theta = np.append([NOISE[name] for name in bound.names[:4]], 0.2)
-    bias = bound.restricted(60).tables(theta)[0].sensors[0].bias_at
-    np.testing.assert_array_equal(bias[:60], bound.tables(theta)[0].sensors[0].bias_at[:60])
+    bias = bound.restricted(60).tables(theta)[0].sensors[0].extras.bias_at
+    np.testing.assert_array_equal(bias[:60], bound.tables(theta)[0].sensors[0].extras.bias_at[:60])
     assert 0.1 < bias[59].max() < 0.13
 
 

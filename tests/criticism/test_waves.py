@@ -77,7 +77,7 @@ def test_a_wave_is_a_steady_change_times_a_sine():
     assert turned.name == "formula: turn += c*sin(2*pi*(time - 12.25)/20)"
     np.testing.assert_allclose(turned.edit(tables, [0.1], log).motion.mean[:, 2], tables.motion.mean[:, 2] + 0.1 * sine)
     longer = wave(changes["formula: range += c*1"], log, 20.0, 12.25).edit(tables, [0.1], log).sensors[0]
-    np.testing.assert_allclose(longer.bias_at, np.tile(0.1 * sine[:, None], (1, 8)), atol=1e-15)
+    np.testing.assert_allclose(longer.extras.bias_at, np.tile(0.1 * sine[:, None], (1, 8)), atol=1e-15)
     # A part of the log is edited like the same rows of the whole.
     part = log.select(0, 30)
     short = default_model(part).bind(part).tables(np.array([NOISE[name] for name in bound.names]))[0]

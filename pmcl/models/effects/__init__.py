@@ -1,10 +1,10 @@
-"""Missing effects: what a model of noise alone leaves out, as objects that edit coefficient tables.
+"""Missing effects: systematic errors and other noise that a plain model lacks, as edits of coefficient tables.
 
 An :class:`~pmcl.models.effects.effect.Effect` has a name, parameters with priors, and a function that edits the tables
 of :mod:`pmcl.models.tables`. In a :class:`~pmcl.models.robot_model.RobotModel` it is calibrated with everything else,
-in ``pmcl simulate --effect`` it is simulated, and the critic looks for it. :mod:`~pmcl.models.effects.catalogue` holds
-the effects that pmcl knows, :mod:`~pmcl.models.effects.registry` adds those of installed packages and of files
-(``--effects FILE.py``), :mod:`~pmcl.models.effects.selection` picks them by name, and
+in ``pmcl simulate --effect`` it is simulated, and it is a candidate of the critic.
+:mod:`~pmcl.models.effects.catalogue` holds the effects of pmcl, :mod:`~pmcl.models.effects.registry` adds those of
+installed packages and of files (``--effects FILE.py``), :mod:`~pmcl.models.effects.selection` picks them by name, and
 :mod:`~pmcl.models.effects.formula` makes effects of formulas that are written as text.
 
 An effect of your own is a few lines of numpy. A robot that pulls to one side whenever it accelerates::
@@ -34,9 +34,9 @@ An effect of your own is a few lines of numpy. A robot that pulls to one side wh
     )
     model = RobotModel(sensors=(RangeNoise(),), effects=(torque_steer,))
 
-Edits run in order at every proposed theta: keep them cheap, return new arrays and leave the given ones alone. They
-change what a reading or an increment is expected to be, never the readings themselves. An effect that the plain tables
-cannot express turns them into richer ones first (:mod:`pmcl.models.effects.editing`).
+Edits run in order at every proposed theta: keep them cheap, return new arrays and do not change the given ones. They
+change the expected value or the distribution of a reading or an increment, never the readings themselves. An effect
+that the plain tables cannot express adds extra fields to them first (:mod:`pmcl.models.effects.editing`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""All effects that pmcl brings along; :mod:`~pmcl.models.effects.registry` adds those of others."""
+"""All effects of pmcl itself; :mod:`~pmcl.models.effects.registry` adds those of other packages."""
 
 from __future__ import annotations
 

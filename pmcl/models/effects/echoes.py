@@ -1,4 +1,4 @@
-"""Readings that are no echo of the wall the beam points at: mixtures."""
+"""Readings that are no echo of the wall at which the beam points; they are components of a mixture."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _random(tables: Tables, values: Float, log: RobotLog, where: Where) -> Table
 
 
 def _joined(weights: Float, weight: float) -> Float:
-    """Return the probability that either of two independent coins shows."""
+    """Return the probability that at least one of two independent events occurs."""
     return np.asarray(1.0 - (1.0 - weights) * (1.0 - weight))
 
 
@@ -89,7 +89,7 @@ ECHO_EFFECTS = (
         null=(0.0,),
         change=_random,
         carrier="range",
-        look="Single readings are off by a lot, to both sides, in all beams and places.",
+        symptom="Single readings are off by a lot, to both sides, in all beams and places.",
         typical={"just visible": (0.01,), "clear": (0.05,), "large": (0.15,)},
         absorber=True,
         near_twins={
@@ -111,7 +111,7 @@ ECHO_EFFECTS = (
         null=(0.0, 1.0),
         change=_short,
         carrier="range",
-        look="Single readings fall short of the wall, never beyond it.",
+        symptom="Single readings fall short of the wall, never beyond it.",
         typical={"just visible": (0.02, 1.0), "clear": (0.08, 1.0), "large": (0.25, 1.0)},
         shape=("short_readings_length",),
         near_twins={
@@ -131,7 +131,7 @@ ECHO_EFFECTS = (
         null=(0.0,),
         change=_no_echo,
         carrier="range",
-        look="Single readings show the greatest range though a wall is near.",
+        symptom="Single readings show the greatest range though a wall is near.",
         typical={"just visible": (0.01,), "clear": (0.05,), "large": (0.2,)},
         near_twins={
             "specular-reflection": "look at walls both square and at a slant",
@@ -150,7 +150,7 @@ ECHO_EFFECTS = (
         null=(0.0,),
         change=_dead_beam,
         carrier="range",
-        look="One beam shows the greatest range though a wall is near, while its neighbours read the wall.",
+        symptom="One beam shows the greatest range though a wall is near, while its neighbours read the wall.",
         typical={"just visible": (0.05,), "clear": (0.4,), "large": (0.95,)},
         near_twins={"max-range-readings": "none: look whether one beam has all of them"},
         references=(_THRUN,),
@@ -166,7 +166,7 @@ ECHO_EFFECTS = (
         null=(0.0,),
         change=_cross_talk,
         carrier="range",
-        look="Single readings agree with what the beam beside should read.",
+        symptom="Single readings agree with what the beam beside should read.",
         typical={"just visible": (0.02,), "clear": (0.1,), "large": (0.3,)},
         near_twins={"short-readings": "turn on the spot: what neighbours read changes with the direction"},
         references=("Borenstein, Koren, Error eliminating rapid ultrasonic firing for mobile robot obstacle avoidance, "
@@ -186,7 +186,7 @@ ECHO_EFFECTS = (
         null=(0.0, 0.8),
         change=_specular,
         carrier="range",
-        look="Readings are longer than true where the wall is seen at a slant.",
+        symptom="Readings are longer than true where the wall is seen at a slant.",
         typical={"just visible": (0.05, 0.8), "clear": (0.3, 0.8), "large": (0.8, 0.7)},
         shape=("specular_reflection_angle",),
         near_twins={"max-range-readings": "look at walls both square and at a slant"},
@@ -201,7 +201,7 @@ ECHO_EFFECTS = (
         null=(0.0,),
         change=_beam_width,
         carrier="range",
-        look="Readings are too short where the wall is seen at a slant, and right where it is square.",
+        symptom="Readings are too short where the wall is seen at a slant, and right where it is square.",
         typical={"just visible": (0.1,), "clear": (0.3,), "large": (0.7,)},
         near_twins={
             "range-scale": "look at walls both square and at a slant",

@@ -1,4 +1,4 @@
-"""How effects edit tables: find those they are about, replace fields, keep arrays as compiled code wants them."""
+"""Functions by which effects edit tables: find the tables, replace fields, keep arrays as compiled code needs them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def edit_motion(tables: Tables, change: Change, name: str) -> Tables:
     Parameters
     ----------
     tables : Tables
-        The tables; they stay as they are.
+        The tables; they are not changed.
     change : callable
         ``change(motion)`` returns new values by the name of the field. Fields of the table and of its extras are read
         and named alike; extras are added when one of them is changed.
     name : str
-        The effect, for messages.
+        Name of the effect, for messages.
 
     Returns
     -------
@@ -68,15 +68,15 @@ def edit_sensors(
     Parameters
     ----------
     tables : Tables
-        The tables; they stay as they are.
+        The tables; they are not changed.
     table_type : type
-        Which tables.
+        The type of the tables.
     change : callable
         As for :func:`edit_motion`.
     name : str
-        The effect, for messages.
+        Name of the effect, for messages.
     words : str
-        What such a sensor reads, for messages.
+        The readings of such a sensor, for messages.
     required : bool
         Whether there must be such a sensor.
 
@@ -105,7 +105,16 @@ def edit_sensors(
 def settled(tables: Any, before: Tables, name: str) -> Tables:
     """Return tables whose arrays are all contiguous and writable, for which kernels are compiled once and for all.
 
-    What effect `name` left as it was `before` is so already.
+    Parts that are the same objects as in `before` are not checked again.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables that an effect has returned.
+    before : Tables
+        The tables before the edit.
+    name : str
+        Name of the effect, for messages.
 
     Raises
     ------

@@ -52,8 +52,8 @@ class Effect:
         ``change(tables, values, log, where) -> Tables``: the edit, plain numpy. It must not alter the arrays given.
     carrier : str
         One of :data:`CARRIERS`, or the name that model files have for a registered sensor.
-    look : str
-        What it looks like in the data.
+    symptom : str
+        How it shows in the data, in one sentence.
     finding : str
         What is said of a log that has it, with what was measured, e.g. ``"beam {beams} reads {0} {0:too long|too
         short}"``: its place by name, its parameters by number. ``{0}`` is the size with unit and standard deviation,
@@ -92,7 +92,7 @@ class Effect:
     null: tuple[float, ...]
     change: Callable[[Tables, Any, RobotLog, Where], Tables]
     carrier: str = "sensor"
-    look: str = ""
+    symptom: str = ""
     finding: str = ""
     typical: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     where: Where = field(default_factory=dict)

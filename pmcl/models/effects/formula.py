@@ -337,7 +337,7 @@ def formula_effect(
         null=(0.0,) * count,
         change=change,
         carrier=kind.carrier,
-        look=f"Residuals depend on {depends}.",
+        symptom=f"Residuals depend on {depends}.",
         typical={"clear": tuple(clear)},
         absorber=True,  # noise that depends on something takes up much of what any effect causes
     )

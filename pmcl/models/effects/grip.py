@@ -1,4 +1,4 @@
-"""Wheels that lose their grip: now and then, or in one place; and noise that strays far."""
+"""Wheels that slip, at random or in one place, and motion noise with heavy tails or memory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _patch(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables
 def _wandering(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     rate, time = values
     pause = np.diff(log.times, prepend=log.times[:1])
-    # A correlation of exactly one would leave the fourth component without noise of its own.
+    # With a correlation of exactly one the fourth state component would have no noise of its own.
     keep = np.minimum(np.exp(-pause / time), 1.0 - 1e-9)
     keep[0] = 0.0
     tables = edit_motion(tables, lambda motion: {"wander": rate * pause, "keep": keep}, "turn-noise-correlated")
@@ -59,7 +59,7 @@ GRIP_EFFECTS = (
         null=(0.0, 0.7),
         change=_wheel_slip,
         carrier="motion",
-        look="Single steps fall far short, always short; the others are fine.",
+        symptom="Single steps fall far short, always short; the others are fine.",
         typical={"just visible": (0.02, 0.7), "clear": (0.08, 0.8), "large": (0.2, 0.9)},
         shape=("wheel_slip_share",),
         near_twins={
@@ -78,7 +78,7 @@ GRIP_EFFECTS = (
         null=(0.0,),
         change=_heavy_tails,
         carrier="motion",
-        look="Increment residuals are peaked in the middle and have outliers to both sides.",
+        symptom="Increment residuals are peaked in the middle and have outliers to both sides.",
         typical={"just visible": (0.1,), "clear": (0.25,), "large": (0.45,)},
         absorber=True,
         near_twins={"wheel-slip": "none: look whether the gross errors are all too short"},
@@ -96,7 +96,7 @@ GRIP_EFFECTS = (
         null=(0.0, 20.0),
         change=_wandering,
         carrier="motion",
-        look="Turn residuals keep their sign for a while, then change it.",
+        symptom="Turn residuals keep their sign for a while, then change it.",
         typical={"just visible": (0.015, 20.0), "clear": (0.05, 20.0), "large": (0.12, 20.0)},
         shape=("turn_noise_correlated_time",),
         squared=True,
@@ -114,11 +114,11 @@ GRIP_EFFECTS = (
             Parameter("slippery_patch_y", "m", stats.norm(scale=5.0), "centre of the patch"),
             Parameter("slippery_patch_radius", "m", gamma_prior(1.0, 8.0), "radius of the patch"),
         ),
-        # The radius stands for a share of a cell of the grid until the effect has a place.
+        # Until the effect has a place, the radius is a share of a cell of the grid.
         null=(0.0, 0.0, 0.0, 0.6),
         change=_patch,
         carrier="motion",
-        look="Steps fall short in one part of the map only.",
+        symptom="Steps fall short in one part of the map only.",
         typical={
             "just visible": (0.15, 0.0, 0.0, 0.6),
             "clear": (0.4, 0.0, 0.0, 0.6),

@@ -1,4 +1,4 @@
-"""The map is wrong: something stands elsewhere than it says."""
+"""Errors of the map: landmarks, walls or obstacles that are not where it shows them."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def _wall_moved(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
         for wall in where.get("walls", (0,)):
             a, b = beams.wall_start[int(wall)], beams.wall_stop[int(wall)]
             along = beams.vertices[b] - beams.vertices[a]
-            # To the left of the way from its first end to its second. Walls that meet it are drawn along, so that a
-            # closed room stays closed.
+            # The wall moves to the left, seen from its first end to its second. Vertices are shared with the walls that
+            # meet it, so that a closed room stays closed.
             vertices[[a, b]] += values[0] * np.array([-along[1], along[0]]) / np.hypot(*along)
         return {"vertices": vertices}
 
@@ -80,7 +80,7 @@ MAP_EFFECTS = (
         null=(0.0, 0.0),
         change=_landmark_moved,
         carrier="map",
-        look="Residuals of one landmark depend on where it is seen from; those of the others are fine.",
+        symptom="Residuals of one landmark depend on where it is seen from; those of the others are fine.",
         typical={"just visible": (0.1, 0.0), "clear": (0.3, 0.2), "large": (0.8, 0.6)},
         means_only=True,
         near_twins={
@@ -100,7 +100,7 @@ MAP_EFFECTS = (
         null=(0.0,),
         change=_wall_moved,
         carrier="map",
-        look="All beams that hit one wall read too long (or too short) by the same length.",
+        symptom="All beams that hit one wall read too long (or too short) by the same length.",
         typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
         means_only=True,
         near_twins={"range-bias": "look at every wall from several sides"},
@@ -119,11 +119,11 @@ MAP_EFFECTS = (
             Parameter("unmapped_obstacle_y", "m", stats.norm(scale=5.0), "where it stands"),
             Parameter("unmapped_obstacle_radius", "m", gamma_prior(0.3, 8.0), "its radius"),
         ),
-        # The radius stands for a share of a cell of the grid until the effect has a place.
+        # Until the effect has a place, the radius is a share of a cell of the grid.
         null=(0.0, 0.0, 0.0, 0.3),
         change=_obstacle,
         carrier="map",
-        look="Readings towards one place on the map are too short, from wherever they come.",
+        symptom="Readings towards one place on the map are too short, from wherever they come.",
         typical={
             "just visible": (0.1, 0.0, 0.0, 0.3),
             "clear": (0.5, 0.0, 0.0, 0.3),

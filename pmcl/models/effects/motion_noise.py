@@ -1,4 +1,4 @@
-"""Motion noise that is not the same at every step."""
+"""Motion noise whose size depends on the step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 5.4 (alpha1
 
 
 def _grown(tables: Tables, name: str, component: int, slope: float, size: Any) -> Tables:
-    """Add ``slope * size(mean)`` in squares to the standard deviation of one component."""
+    """Add ``slope * size(mean)`` to the standard deviation of one component; the squares are added."""
 
     def edit(motion: Any) -> Any:
         std = motion.std.copy()
@@ -57,7 +57,7 @@ GROWING = (
         null=(0.0,),
         change=_forward_with_distance,
         carrier="motion",
-        look="Forward residuals scatter more on long steps than while the robot turns or stands.",
+        symptom="Forward residuals scatter more on long steps than while the robot turns or stands.",
         typical={"just visible": (0.2,), "clear": (0.5,), "large": (1.0,)},
         squared=True,
         absorber=True,
@@ -74,7 +74,7 @@ GROWING = (
         null=(0.0,),
         change=_turn_with_turn,
         carrier="motion",
-        look="Turn residuals scatter more in sharp turns than on straight stretches.",
+        symptom="Turn residuals scatter more in sharp turns than on straight stretches.",
         typical={"just visible": (0.15,), "clear": (0.35,), "large": (0.7,)},
         squared=True,
         absorber=True,
@@ -91,7 +91,7 @@ GROWING = (
         null=(0.0,),
         change=_turn_with_distance,
         carrier="motion",
-        look="Turn residuals scatter more on long steps than while the robot stands or turns on the spot.",
+        symptom="Turn residuals scatter more on long steps than while the robot stands or turns on the spot.",
         typical={"just visible": (0.3,), "clear": (0.8,), "large": (1.5,)},
         squared=True,
         absorber=True,

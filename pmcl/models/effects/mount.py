@@ -1,4 +1,4 @@
-"""The sensor is not where, not looking where, or not reading when or what the robot's description says."""
+"""Errors of a sensor's mount: its place, its direction, its delay, or the quantity that it reads."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pmcl.models.tables import Tables
 
 __all__ = ["MOUNT_EFFECTS"]
 
-# Farther off the optical axis than this, depth says next to nothing of the distance [rad].
+# Greatest angle to the optical axis [rad] at which the depth still determines the distance (chosen by hand).
 _WIDEST = 1.4
 
 
@@ -30,7 +30,7 @@ def reads_anything(log: RobotLog) -> bool:
 
 
 def has_direction(log: RobotLog) -> bool:
-    """Return whether turning the sensor would change its readings: bare distances to landmarks tell no direction."""
+    """Return whether turning the sensor would change its readings; it does not change distances to landmarks."""
     bearing = log.landmark_bearing
     return reads_ranges(log) or (bearing is not None and not bool(np.isnan(bearing).all()))
 
@@ -53,7 +53,7 @@ def _sensor_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
         return {"beam_pose": pose}
 
     def camera(seen: Any) -> Any:
-        # A camera is one thing and turns on its own axis.
+        # A camera turns about its own axis.
         return {"sensor_pose": seen.sensor_pose + np.array([0.0, 0.0, yaw])}
 
     return _remount(tables, "sensor-yaw", ring, camera)
@@ -95,7 +95,7 @@ def _depth(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables
 
 
 def _looks_ahead(log: RobotLog) -> bool:
-    """Return whether ranges come from a sensor with an optical axis: all of them from ahead, not all from one way."""
+    """Return whether the range sensor may have an optical axis: its beams differ and all point ahead."""
     if reads_ranges(log) and log.beam_poses is not None:
         aside = np.abs(wrap(log.beam_poses[:, 2]))
     elif reads_distance(log) and reads_bearing(log) and log.landmark_bearing is not None:
@@ -114,7 +114,7 @@ MOUNT_EFFECTS = (
                               "left"),),
         null=(0.0,),
         change=_sensor_yaw,
-        look="The robot seems to drive sideways: the heading that fits the readings is not the one it drives along.",
+        symptom="The robot seems to drive sideways: the heading that fits the readings is not the one it drives along.",
         typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
         means_only=True,
         near_twins={
@@ -135,7 +135,7 @@ MOUNT_EFFECTS = (
         ),
         null=(0.0, 0.0),
         change=_sensor_offset,
-        look="When the robot turns on the spot, its readings move as if it went around a circle.",
+        symptom="When the robot turns on the spot, its readings move as if it went around a circle.",
         typical={"just visible": (0.03, 0.0), "clear": (0.1, 0.05), "large": (0.25, 0.15)},
         means_only=True,
         near_twins={"odometry-turn-bias": "turn both ways: without turns an offset cannot be told from the pose"},
@@ -150,7 +150,7 @@ MOUNT_EFFECTS = (
         parameters=(Parameter("sensor_latency", "s", stats.norm(scale=0.3), "how old readings are"),),
         null=(0.0,),
         change=_latency,
-        look="Readings lag behind while the robot turns or speeds up, and are right while it stands.",
+        symptom="Readings lag behind while the robot turns or speeds up, and are right while it stands.",
         typical={"just visible": (0.05,), "clear": (0.2,), "large": (0.5,)},
         near_twins={
             "odometry-forward-scale": "start and stop often: when driving straight at one speed the two are the same",
@@ -167,7 +167,7 @@ MOUNT_EFFECTS = (
         parameters=(Parameter("range_is_depth", "1", stats.uniform(), "how much so: 0 distance, 1 depth"),),
         null=(0.0,),
         change=_depth,
-        look="Distances are right in the middle of the view and too short at its edges.",
+        symptom="Distances are right in the middle of the view and too short at its edges.",
         typical={"just visible": (0.15,), "clear": (0.5,), "large": (0.9,)},
         near_twins={"range-scale": "see things both in the middle and at the edge of the view"},
         references=("Szeliski, Computer Vision: Algorithms and Applications, 2022, section 13.2",),

@@ -1,4 +1,4 @@
-"""Systematic errors of odometry: what the wheels report is not how the robot moved."""
+"""Systematic errors of odometry."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
 
 
 def _delayed(mean: Float, times: Float, delay: float) -> Float:
-    """Return increments (T - 1, 3) of the reckoned path `delay` [s] ago; the robot rests before and after the log."""
+    """Return increments (T - 1, 3) of the odometry path `delay` [s] ago; the robot rests before and after the log."""
     n = mean.shape[0]
     heading = np.concatenate([[0.0], np.cumsum(mean[1:, 2])])
     path = np.zeros((n, 3))
@@ -121,8 +121,8 @@ ODOMETRY_EFFECTS = (
         null=(0.0,),
         change=_forward_scale,
         carrier="motion",
-        look="Readings ahead shrink faster than odometry predicts, whatever the place; forward residuals grow with the "
-        "distance driven.",
+        symptom="Readings ahead shrink faster than odometry predicts, whatever the place; forward residuals grow with "
+        "the distance driven.",
         typical={"just visible": (0.02,), "clear": (0.06,), "large": (0.15,)},
         means_only=True,
         near_twins={
@@ -143,7 +143,7 @@ ODOMETRY_EFFECTS = (
         null=(0.0,),
         change=_turn_scale,
         carrier="motion",
-        look="After a turn to the left all beams are turned one way, after a turn to the right the other way.",
+        symptom="After a turn to the left all beams are turned one way, after a turn to the right the other way.",
         typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
         means_only=True,
         near_twins={"odometry-arc": "turn both ways, also on the spot"},
@@ -158,7 +158,7 @@ ODOMETRY_EFFECTS = (
         null=(0.0,),
         change=_arc,
         carrier="motion",
-        look="The heading drifts to one side on straight stretches, in proportion to the distance.",
+        symptom="The heading drifts to one side on straight stretches, in proportion to the distance.",
         typical={"just visible": (0.05,), "clear": (0.2,), "large": (0.5,)},
         means_only=True,
         near_twins={
@@ -177,7 +177,7 @@ ODOMETRY_EFFECTS = (
         null=(0.0,),
         change=_turn_bias,
         carrier="motion",
-        look="Turn residuals have one sign throughout, also while the robot stands.",
+        symptom="Turn residuals have one sign throughout, also while the robot stands.",
         typical={"just visible": (0.01,), "clear": (0.03,), "large": (0.08,)},
         means_only=True,
         near_twins={
@@ -195,7 +195,7 @@ ODOMETRY_EFFECTS = (
         null=(0.0,),
         change=_side_drift,
         carrier="motion",
-        look="Walls beside the robot come closer on one side while it drives along them.",
+        symptom="Walls beside the robot come closer on one side while it drives along them.",
         typical={"just visible": (0.03,), "clear": (0.08,), "large": (0.2,)},
         means_only=True,
         near_twins={"sensor-yaw": "turn on the spot or drive backwards: for pure forward driving the two are the same"},
@@ -211,7 +211,7 @@ ODOMETRY_EFFECTS = (
         null=(0.0,),
         change=_latency,
         carrier="motion",
-        look="Residuals of forward and turn have opposite signs when a motion begins and when it ends.",
+        symptom="Residuals of forward and turn have opposite signs when a motion begins and when it ends.",
         typical={"just visible": (0.05,), "clear": (0.2,), "large": (0.5,)},
         means_only=True,
         near_twins={

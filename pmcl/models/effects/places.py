@@ -1,4 +1,4 @@
-"""Places on the floor at which an effect may sit: a coarse grid over the map."""
+"""Places on the floor at which an effect may be: a coarse grid over the map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pmcl.models.part import Float
 
 __all__ = ["at_place", "cell_size", "floor_places", "has_floor"]
 
-# Cells along the longer side of the map.
+# Cells along the longer side of the map (chosen by hand).
 _CELLS = 4
 
 
@@ -53,7 +53,14 @@ def floor_places(log: RobotLog) -> list[Where]:
 def at_place(effect: Effect, log: RobotLog) -> Effect:
     """Return an effect of parameters (strength, x, y, radius) with its disc at the place of the instance.
 
-    The place is where to look at the null, and the centre of the priors of where it really is.
+    The place gives the null of x and y, and the centre of their priors.
+
+    Parameters
+    ----------
+    effect : Effect
+        The instance, whose `where` holds the place.
+    log : RobotLog
+        The log, whose map gives the grid.
     """
     x, y = (float(value) for value in effect.where["place"])
     side = cell_size(log)

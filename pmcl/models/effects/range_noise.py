@@ -1,4 +1,4 @@
-"""Range noise that is not Gaussian, or not the same all the time; drifting and rounded readings."""
+"""Range noise that is not Gaussian or not constant, and readings that drift or are rounded."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from pmcl.models.tables import Tables
 __all__ = ["RANGE_NOISE_EFFECTS"]
 
 _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3"
-# Share of the log over which the noise goes from its early to its late size.
+# Share of the log over which the noise changes from its early to its late size (chosen by hand).
 _TRANSITION = 0.05
 
 
 def elapsed(log: RobotLog) -> Float:
-    """Return how much of the log has passed at each row, 0 to 1; a robot that is still running cannot know."""
+    """Return the share of the log that has passed at each row, 0 to 1; it is not known while the robot is running."""
     if not log.is_whole:
         raise ModelError(
             f"{log.where}: expected a whole log for an effect that changes in the course of it, but the robot is still "
@@ -68,7 +68,7 @@ def _rounded(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
 
 
 def _read_row_after_row(log: RobotLog) -> bool:
-    """Return whether beams are often read at two rows in a row: the density looks back one row, not farther."""
+    """Return whether beams are often read at consecutive rows: the density depends on the row before only."""
     if not reads_ranges(log):
         return False
     assert log.ranges is not None
@@ -77,9 +77,9 @@ def _read_row_after_row(log: RobotLog) -> bool:
 
 
 def raw_step(log: RobotLog) -> Mapping[str, float]:
-    """Return the step to whose multiples all range readings are rounded, when their digits show one.
+    """Return the step to whose multiples all range readings are rounded, if their digits show one.
 
-    Rounding hardly shows in how readings scatter; it does in their digits.
+    Rounding hardly changes the spread of readings, but it shows in their digits.
     """
     if log.ranges is None:
         return {}
@@ -105,7 +105,7 @@ RANGE_NOISE_EFFECTS = (
         null=(0.0,),
         change=_heavy_tails,
         carrier="range",
-        look="Range residuals are peaked in the middle and have outliers to both sides that thin out slowly.",
+        symptom="Range residuals are peaked in the middle and have outliers to both sides that thin out slowly.",
         typical={"just visible": (0.1,), "clear": (0.25,), "large": (0.45,)},
         absorber=True,
         near_twins={"random-readings": "record longer: random readings do not thin out away from the wall"},
@@ -121,7 +121,7 @@ RANGE_NOISE_EFFECTS = (
         null=(0.0,),
         change=_grows,
         carrier="range",
-        look="Range residuals scatter more the longer the range.",
+        symptom="Range residuals scatter more the longer the range.",
         typical={"just visible": (0.1,), "clear": (0.5,), "large": (1.5,)},
         absorber=True,
         near_twins={"beam-width": "look at walls both square and at a slant: noise depends on the distance alone"},
@@ -140,7 +140,7 @@ RANGE_NOISE_EFFECTS = (
         null=(0.0, 0.5),
         change=_changes,
         carrier="range",
-        look="Range residuals scatter differently early and late in the log.",
+        symptom="Range residuals scatter differently early and late in the log.",
         typical={"just visible": (0.15, 0.5), "clear": (0.5, 0.6), "large": (1.2, 0.4)},
         shape=("range_noise_changes_in_time_when",),
         absorber=True,
@@ -157,7 +157,7 @@ RANGE_NOISE_EFFECTS = (
         null=(0.0,),
         change=_drifts,
         carrier="range",
-        look="Range residuals are fine at first, and move off to one side in the course of the log.",
+        symptom="Range residuals are fine at first, and move off to one side in the course of the log.",
         typical={"just visible": (0.02,), "clear": (0.08,), "large": (0.25,)},
         near_twins={
             "range-noise-changes-in-time": "visit the same places early and late",
@@ -175,7 +175,7 @@ RANGE_NOISE_EFFECTS = (
         null=(0.0,),
         change=_correlated,
         carrier="range",
-        look="Residuals of a beam resemble its residuals at the row before.",
+        symptom="Residuals of a beam resemble its residuals at the row before.",
         typical={"just visible": (0.1,), "clear": (0.35,), "large": (0.75,)},
         absorber=True,
         near_twins={
@@ -193,7 +193,7 @@ RANGE_NOISE_EFFECTS = (
         null=(0.0,),
         change=_rounded,
         carrier="range",
-        look="The digits of the readings: only multiples of one number occur.",
+        symptom="The digits of the readings: only multiples of one number occur.",
         typical={"just visible": (0.1,), "clear": (0.25,), "large": (0.5,)},
         squared=True,
         near_twins={"range-noise-grows-with-range": "none: look at the digits of the readings"},

@@ -1,4 +1,4 @@
-"""Range readings that are wrong in the same way every time: biases and scales, of the ring or of one beam."""
+"""Systematic errors of range readings: biases and scales, of all beams or of one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3"
 
 
 def reads_ranges(log: RobotLog) -> bool:
-    """Return whether the log has range beams that read anything."""
+    """Return whether the log has range beams with readings."""
     return log.ranges is not None and not bool(np.isnan(log.ranges).all())
 
 
@@ -70,7 +70,7 @@ RANGE_EFFECTS = (
         null=(0.0,),
         change=_range_bias,
         carrier="range",
-        look="Range residuals have one sign, at all distances alike.",
+        symptom="Range residuals have one sign, at all distances alike.",
         typical={"just visible": (0.01,), "clear": (0.04,), "large": (0.1,)},
         means_only=True,
         near_twins={
@@ -88,7 +88,7 @@ RANGE_EFFECTS = (
         null=(0.0,),
         change=_range_scale,
         carrier="range",
-        look="Range residuals have one sign and grow with the distance.",
+        symptom="Range residuals have one sign and grow with the distance.",
         typical={"just visible": (0.01,), "clear": (0.04,), "large": (0.1,)},
         means_only=True,
         near_twins={
@@ -107,7 +107,7 @@ RANGE_EFFECTS = (
         null=(0.0,),
         change=_beam_bias,
         carrier="range",
-        look="Residuals of one beam have one sign while those of its neighbours scatter around zero.",
+        symptom="Residuals of one beam have one sign while those of its neighbours scatter around zero.",
         typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
         means_only=True,
         near_twins={"beam-yaw": "turn beside a wall: a wrong direction errs to either side, a bias to one"},
@@ -123,7 +123,7 @@ RANGE_EFFECTS = (
         null=(0.0,),
         change=_beam_yaw,
         carrier="range",
-        look="Residuals of one beam change their sign with the slant of the wall that it hits.",
+        symptom="Residuals of one beam change their sign with the slant of the wall that it hits.",
         typical={"just visible": (0.04,), "clear": (0.12,), "large": (0.3,)},
         means_only=True,
         near_twins={"beam-bias": "turn beside a wall: a wrong direction errs to either side, a bias to one"},

@@ -46,7 +46,7 @@ def test_an_effect_describes_itself(name):
     stem = name.replace("-", "_")
     assert re.fullmatch(r"[a-z]+(-[a-z]+)*", name)
     assert effect.summary.endswith(".")
-    assert effect.look.endswith(".")
+    assert effect.symptom.endswith(".")
     assert effect.references
     for parameter in effect.parameters:
         assert parameter.name.startswith(stem)
