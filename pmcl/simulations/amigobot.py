@@ -15,8 +15,8 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.arrays import as_numbers
 from pmcl.maps.walls import WallMap
 from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.sensor import sensor_of
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
-from pmcl.models.sensors.range_beams.simulation import simulate
 from pmcl.simulations.driving import WaypointDriver, drive
 from pmcl.simulations.effects import Affected, Given, affected_by, check_given
 from pmcl.simulations.simulate import check_run, draw_theta, make_rng
@@ -142,7 +142,8 @@ def simulate_amigobot(
     if affected.moves_differently:
         path, command = affected.drive(empty, start, _driver(points), rng)
         empty = logged(np.zeros((n_steps, len(AMIGOBOT_BEAMS))))
-    return logged(simulate(affected.tables(empty).sensors[0], path, rng).reading, affected)
+    table = affected.tables(empty).sensors[0]
+    return logged(sensor_of(table).simulate(table, path, rng).reading, affected)
 
 
 def _points(waypoints: ArrayLike | None, room: WallMap | None, where: str) -> NDArray[np.float64]:

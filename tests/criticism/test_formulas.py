@@ -72,7 +72,8 @@ def test_formulas_do_what_they_say(library):
 
 def test_noise_of_ranges_follows_a_rule(library):
     log, tables, library = library
-    factor = library["formula: log sigma_range += c*abs(turn_rate)"].edit(tables, [1.5], log).sensors[0].extras.std_factor
+    noisier = library["formula: log sigma_range += c*abs(turn_rate)"].edit(tables, [1.5], log).sensors[0]
+    factor = noisier.extras.std_factor
     np.testing.assert_allclose(factor[1:], np.exp(1.5 * np.abs(log.odometry[1:, 2])))
     plain = formulas(log, tables, np.array(log.true_poses), of_noise=False)
     assert not any("sigma" in effect.name for effect in plain)
