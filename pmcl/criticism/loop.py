@@ -1,4 +1,4 @@
-"""The loop of the critic: fit, judge, name, add, refit, until nothing is unusual or nothing explains what is."""
+"""The loop of the critic: fit, judge, name, add and refit, until no alarm is left or none can be explained."""
 
 from __future__ import annotations
 

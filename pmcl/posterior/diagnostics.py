@@ -69,7 +69,7 @@ class Verdict(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether the chains have converged and nothing is known against the model."""
+        """Whether the chains have converged and no check found the model inadequate."""
         return self.converged and self.adequate is not False
 
 
@@ -159,7 +159,7 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
     ----------
     data : arviz.InferenceData or xarray.DataTree
     summary : xarray.Dataset, optional
-        Result of :func:`summarize` for `data`, when it is at hand.
+        Result of :func:`summarize` for `data`, if it was computed already.
 
     Returns
     -------
@@ -227,9 +227,9 @@ def _complaint(table: xr.Dataset, short: list[str], lost: dict[int, float]) -> s
             parts.append(f"{short[0]} has no R-hat, which takes two chains of four draws that are not all equal")
         else:
             parts.append(
-                f"{short[0]} has R-hat {float(row['r_hat']):.3f} (at most {R_HAT_LIMIT} is wanted), "
+                f"{short[0]} has R-hat {float(row['r_hat']):.3f} (at most {R_HAT_LIMIT} is required), "
                 f"{float(row['ess_bulk']):.0f} effective draws in bulk and {float(row['ess_tail']):.0f} in the tails "
-                f"(at least {ESS_LIMIT:.0f} are wanted)"
+                f"(at least {ESS_LIMIT:.0f} are required)"
             )
     if len(short) > 1:
         parts.append(f"{len(short)} of {table.sizes['parameter']} parameters fall short")
@@ -309,7 +309,7 @@ def _advice_on_acceptance(values: xr.DataArray) -> list[str]:
         f"{name}: {100 * rate:.0f} % of the proposals are accepted ({100 * low:.0f} to {100 * high:.0f} % is healthy): "
         f"{'shorten' if rate < low else 'widen'} its steps, or lengthen the burn-in that adapts them."
         for name, rate in labelled
-        # NaN stands for a move that was never proposed.
+        # The rate of a move that was never proposed is NaN.
         if rate < low or rate > high
     ]
 

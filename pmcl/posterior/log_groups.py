@@ -123,13 +123,13 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
     row, *columns = np.nonzero(~np.isnan(values.values))
     kind, channels = str(values.name), [str(dim) for dim in values.dims[1:]]
     dims = (f"{kind}_reading{suffix}",)
-    found = np.minimum(values.values[row, *columns], float(values.attrs.get("max_range", np.inf)))
+    measured = np.minimum(values.values[row, *columns], float(values.attrs.get("max_range", np.inf)))
     coords = {f"{kind}_time{suffix}": (dims, values["time"].values[row], {"units": "s", "long_name": "time"})}
     for channel, column in zip(channels, columns, strict=True):
         numbers = values.coords[channel].values if channel in values.coords else np.arange(values.sizes[channel])
         coords[f"{kind}_{channel}{suffix}"] = (dims, numbers[column], {"units": "1", "long_name": channel})
     attrs = {**values.attrs, "units": variables()[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
-    return xr.DataArray(found, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
+    return xr.DataArray(measured, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
 
 
 def agreed_truth(logs: Sequence[LogLike]) -> dict[str, float]:

@@ -46,11 +46,18 @@ _PREDICTION = {
 
 
 class _Task(NamedTuple):
-    """One filter pass: a draw of theta on one log."""
+    """One filter pass over all logs, with a draw of theta."""
 
     chain: int
     draw: int
     theta: Float
+
+
+class _Predicted(NamedTuple):
+    """Log predictive densities and replicated values of the measured readings of one kind."""
+
+    log_density: Float
+    replicated: Float
 
 
 def predictive_groups(
@@ -91,7 +98,7 @@ def predictive_groups(
     particles = int(np.clip(_BUDGET / (n_readings * n_chains * chosen.size), *_PARTICLES))
     tasks = [_Task(chain, int(draw), theta[chain, draw]) for chain in range(n_chains) for draw in chosen]
 
-    def one(task: _Task) -> list[dict[str, tuple[Float, Float]]]:
+    def predict(task: _Task) -> list[dict[str, _Predicted]]:
         rng = make_rng(np.random.SeedSequence((seed, 1, task.chain, task.draw)))
         return [
             _predicted(log, tables, particles, rng)
@@ -99,12 +106,13 @@ def predictive_groups(
         ]
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        found = list(threads.map(one, tasks))
+        predicted = list(threads.map(predict, tasks))
     coords = {"chain": np.arange(n_chains), "draw": chosen}
     groups = {"log_likelihood": xr.Dataset(coords=coords), "posterior_predictive": xr.Dataset(coords=coords)}
     for number, suffix in enumerate(suffixes_for(len(bound.logs))):
-        for kind in found[0][number]:
-            _add(groups, observed, f"{kind}{suffix}", [row[number][kind] for row in found], (n_chains, chosen.size))
+        for kind in predicted[0][number]:
+            of_kind = [of_logs[number][kind] for of_logs in predicted]
+            _add(groups, observed, f"{kind}{suffix}", of_kind, (n_chains, chosen.size))
     for name, prediction in _PREDICTION.items():
         groups[name].attrs = {"prediction": prediction, "particles": particles}
     return groups if groups["log_likelihood"].data_vars else {}
@@ -114,8 +122,8 @@ def _add(
     groups: dict[str, xr.Dataset],
     observed: xr.Dataset,
     name: str,
-    found: Sequence[tuple[Float, Float]],
-    shape: tuple[int, int],
+    predicted: Sequence[_Predicted],
+    n_draws: tuple[int, int],
 ) -> None:
     """Add one kind of reading of one log to both groups."""
     readings = observed[name]
@@ -123,10 +131,14 @@ def _add(
         "log_likelihood": ("nat", f"log predictive density of {name}"),
         "posterior_predictive": (str(readings.attrs.get("units", "")), f"replicated {name}"),
     }
-    for column, (group, (units, long_name)) in enumerate(labels.items()):
-        values = np.array([one[column] for one in found], dtype=np.float32)
+    contents = {
+        "log_likelihood": [prediction.log_density for prediction in predicted],
+        "posterior_predictive": [prediction.replicated for prediction in predicted],
+    }
+    for group, (units, long_name) in labels.items():
+        values = np.array(contents[group], dtype=np.float32)
         groups[group][name] = xr.DataArray(
-            values.reshape(*shape, readings.size),
+            values.reshape(*n_draws, readings.size),
             dims=("chain", "draw", *readings.dims),
             coords={key: coord for key, coord in readings.coords.items() if coord.dims == readings.dims},
             attrs={"units": units, "long_name": long_name},
@@ -135,7 +147,7 @@ def _add(
 
 def _predicted(
     log: RobotLog, tables: Tables, particles: int, rng: np.random.Generator
-) -> dict[str, tuple[Float, Float]]:
+) -> dict[str, _Predicted]:
     """Return, for each kind of reading, log densities and replicated values in the order of the observed data."""
     predictions = predict_readings(tables, log.n_steps, particles, rng)
     replicated = _replicated(log, tables, predictions, rng)
@@ -149,7 +161,7 @@ def _predicted(
         over_channels(score)[predictions.time[selected], predictions.channel[selected]] = predictions.log_score[selected]
         # A model need not predict every kind of reading that a log holds.
         if not np.isnan(score[measured]).any():
-            result[kind] = score[measured], replicated[kind][measured]
+            result[kind] = _Predicted(score[measured], replicated[kind][measured])
     return result
 
 

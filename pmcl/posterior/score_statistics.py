@@ -139,8 +139,8 @@ def duration_of_errors(series: ScoreSeries, name: str) -> float:
     octaves = np.log2(max(longest / interval, 1.0))
     scales = 0.5 * interval * 2.0 ** (np.arange(int(octaves * _PER_OCTAVE) + _PER_OCTAVE + 1) / _PER_OCTAVE)
     single, together = _lasting(series, scales, series.score[:, None])
-    found = single if name == "lasting" else together
-    return float(scales[int(found[:, 0].argmax())])
+    sums = single if name == "lasting" else together
+    return float(scales[int(sums[:, 0].argmax())])
 
 
 def _interval(series: ScoreSeries) -> float:
@@ -192,7 +192,17 @@ class _PairSums:
         self.variance = np.zeros(scales.size)
 
     def add(self, time: float, channel: Int, scores: Float) -> None:
-        """Take the scores (m, M) of some channels at one time."""
+        """Take the scores of some channels at one time.
+
+        Parameters
+        ----------
+        time : float
+            The time [s]; not earlier than the one before.
+        channel : ndarray of int, shape (m,)
+            The channels.
+        scores : ndarray, shape (m, M)
+            Their scores: those of the readings and of the simulations.
+        """
         decay = np.exp(-(time - self.time[channel]) / self.scales)
         memory = decay[..., None] * self.memory[:, channel]
         weight = decay**2 * self.weight[:, channel]

@@ -137,6 +137,20 @@ def comparison_table(comparison: Comparison) -> Table:
 def expected_error(comparison: Comparison, result: MethodResult) -> float:
     """Return the distance from the reference's mean that Monte Carlo error alone would give.
 
+    Parameters
+    ----------
+    comparison : Comparison
+        The comparison, with its reference.
+    result : MethodResult
+        The result of one method.
+
+    Returns
+    -------
+    float
+        In standard deviations of the reference's posterior.
+
+    Notes
+    -----
     Both errors count: the method's, one over the root of its effective sample size, and the reference's.
     """
     own = 1.0 / np.sqrt(max(float(result.curve.ess[-1]), 1.0))
@@ -153,7 +167,7 @@ def comparison_verdict(comparison: Comparison) -> ComparisonVerdict:
     ]
     if not comparison.converged:
         message = (
-            f"The reference has not converged (R-hat {reference.r_hat:.3f}, at most {R_HAT_LIMIT} is wanted): errors "
+            f"The reference has not converged (R-hat {reference.r_hat:.3f}, at most {R_HAT_LIMIT} is required): errors "
             "against it say little."
         )
     elif right:

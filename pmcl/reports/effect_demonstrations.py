@@ -144,7 +144,11 @@ def _instance(effect: Effect, log: RobotLog) -> Effect:
     if effect.carrier != "motion" or "place" not in middle.where:
         return middle
     path = _drive(log, middle, np.array(middle.null), True).path[:, :2]
-    return min(instances, key=lambda one: float(np.hypot(*(path - np.array(one.where["place"])).T).mean()))
+
+    def mean_distance(instance: Effect) -> float:
+        return float(np.hypot(*(path - np.array(instance.where["place"])).T).mean())
+
+    return min(instances, key=mean_distance)
 
 
 def _model(log: RobotLog, effects: tuple[Effect, ...], values: tuple[Float, ...], quiet: bool) -> Affected:

@@ -119,7 +119,7 @@ def summary_text(data: Posterior, summary: xr.Dataset | None = None) -> str:
     ----------
     data : arviz.InferenceData or xarray.DataTree
     summary : xarray.Dataset, optional
-        Result of :func:`pmcl.posterior.diagnostics.summarize` for `data`, when it is at hand.
+        Result of :func:`pmcl.posterior.diagnostics.summarize` for `data`, if it was computed already.
 
     Returns
     -------

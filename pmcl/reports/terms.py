@@ -149,6 +149,15 @@ def explain_terms(text: str, terms: tuple[Term, ...] = TERMS) -> str:
     return "".join(writer.written)
 
 
+class _Occurrence(NamedTuple):
+    """A term in a piece of text, from character `start` up to `end`."""
+
+    start: int
+    end: int
+    term: Term
+
+
+
 class _Writer(HTMLParser):
     """Copies the page that it parses, and adds marks and explanations."""
 
@@ -192,16 +201,18 @@ class _Writer(HTMLParser):
         self.written.append(data if silent else self._marked(data))
 
     def _marked(self, data: str) -> str:
-        found: list[tuple[int, int, Term]] = []
+        occurrences: list[_Occurrence] = []
         for term in self._unseen:
             match = re.search(term.pattern, data)
-            if match and not any(match.start() < end and start < match.end() for start, end, _ in found):
-                found.append((match.start(), match.end(), term))
-        for start, end, term in sorted(found, key=lambda one: -one[0]):
+            if match and not any(match.start() < end and start < match.end() for start, end, _ in occurrences):
+                occurrences.append(_Occurrence(match.start(), match.end(), term))
+        for start, end, term in sorted(occurrences, key=lambda occurrence: -occurrence.start):
             title = html.escape(term.explanation)
             data = f'{data[:start]}<abbr title="{title}">{data[start:end]}</abbr>{data[end:]}'
             self._unseen.remove(term)
-        self._pending += [term for _, _, term in sorted(found, key=lambda one: one[0])]
+        self._pending += [
+            occurrence.term for occurrence in sorted(occurrences, key=lambda occurrence: occurrence.start)
+        ]
         return data
 
     def _explain(self) -> None:

@@ -215,13 +215,13 @@ def affected_by(
     """
     rng = make_rng(np.random.SeedSequence([seed, len("effects")]))
     effects, values = [], []
-    for one in given:
-        if isinstance(one, str):
-            effect, numbers = parse_effect(one, log, rng)
+    for entry in given:
+        if isinstance(entry, str):
+            effect, numbers = parse_effect(entry, log, rng)
         else:
-            effect = one[0]
+            effect, given_values = entry
             try:
-                numbers = as_numbers(one[1])
+                numbers = as_numbers(given_values)
             except TypeError as problem:
                 raise ModelError(
                     f"{log.where}: expected numbers for effect {effect.name}, but got {problem}; correct them"

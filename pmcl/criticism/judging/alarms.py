@@ -24,6 +24,8 @@ Bool = NDArray[np.bool_]
 # at a place where it hardly ever is in these, and their spread does not apply to the log. Chosen by hand, after a robot
 # in a corner that simulated robots never reached had raised an alarm.
 _UNVISITED_FACTOR = 1000.0
+# Share of logs without a missing effect in which the greatest score exceeds the critical value.
+_CRITICAL_LEVEL = 0.05
 
 
 class Alarm(NamedTuple):
@@ -182,7 +184,7 @@ def judge(
         if family == "score":
             direction = directions[test.worst]
             feature = Feature("score", direction.effect.name, one_sided=direction.one_sided)
-            critical = float(-special.ndtri(0.5 * -np.expm1(np.log1p(-0.05) / test.size)))
+            critical = float(-special.ndtri(0.5 * -np.expm1(np.log1p(-_CRITICAL_LEVEL) / test.size)))
         else:
             feature = features[members[test.worst]]
         tests.append((family, test, feature, float(deviations[0, test.worst])))
@@ -206,7 +208,7 @@ def _studentised(values: Float, parameters: Float, one_sided: Bool, own_variance
     one_sided : ndarray of bool, shape (F,)
         Whether only large values are unusual.
     own_variance : ndarray, shape (1 + N, F), optional
-        Variances that each log tells by itself; they count where the simulated logs cannot know them.
+        Variances estimated from each log alone; they count where the spread of the simulated logs does not apply.
 
     Returns
     -------

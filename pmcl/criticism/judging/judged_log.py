@@ -163,7 +163,19 @@ def with_directions(
 
 
 def with_split(before: JudgedLog, directions: Sequence[Direction], split: int, settings: Settings) -> JudgedLog:
-    """Judge again with another first row of the held-out part; parameters as for :func:`with_directions`."""
+    """Judge a log again with another first row of the held-out part.
+
+    Parameters
+    ----------
+    before : JudgedLog
+        The earlier judgement.
+    directions : sequence of Direction
+        The candidates, unchanged.
+    split : int
+        The new first row of the held-out part.
+    settings : Settings
+        Settings of the run.
+    """
     return _judged(before.scored, before.simulated, directions, split, settings)
 
 

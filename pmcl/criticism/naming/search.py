@@ -12,7 +12,7 @@ from pmcl.criticism.findings.assemble import found_effect
 from pmcl.criticism.findings.result import FoundEffect, JudgedFit
 from pmcl.criticism.findings.verdict import WORTH_A_FORMULA
 from pmcl.criticism.fitting.quick_fit import Fit
-from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.trials import PRACTICAL, Trial
 from pmcl.criticism.judging.alarms import Judgement
 from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_simulations, with_split
 from pmcl.criticism.naming.choice import choose, with_formulas, worth_it
@@ -146,7 +146,15 @@ class Search:
         return self.refits.base_trial(last.fit)
 
     def recover(self, fit: Fit, follow: Callable[[Fit], None]) -> Recovery | None:
-        """Look for an effect with which the filter follows, see :func:`pmcl.criticism.naming.lost_robot.recover`."""
+        """Look for an effect with which the filter follows, see :func:`pmcl.criticism.naming.lost_robot.recover`.
+
+        Parameters
+        ----------
+        fit : Fit
+            A fit of the base model, whose filter loses the robot.
+        follow : callable
+            ``follow(fit)`` raises FilterError when the filter of a fitted model does not follow the robot.
+        """
         self.directions = self._directions_without(fit)
         return recover(fit, self.directions, self.refits, follow)
 
@@ -168,7 +176,7 @@ class Search:
         for effect in shown:
             trials = self.refits.refit(self.trial_of(last), [RankedEffect(effect, 0.0)])
             for trial in trials:
-                if trial.on_all.total > -max(3.0, 2.0 * trial.on_all.se):
+                if trial.on_all.total > -max(PRACTICAL, 2.0 * trial.on_all.se):
                     found = found_effect(trial, (), last.judgement, self.directions)
                     return Outcome(trial, replace(found, p_value=0.0), [trial])
         return None
@@ -213,7 +221,15 @@ class Search:
         return self._search_further(last, current, trials)
 
     def explain_by_formula(self, last: JudgedFit, current: Trial) -> Outcome:
-        """Look for a formula only; parameters as for :meth:`explain`."""
+        """Look for a formula only.
+
+        Parameters
+        ----------
+        last : JudgedFit
+            The model, fitted to the whole log.
+        current : Trial
+            The same model, fitted on the fit part.
+        """
         return self._best_formula(self._formula_trials(last, current))
 
     def _formula_trials(self, last: JudgedFit, current: Trial, best: Trial | None = None) -> FormulaTrials:

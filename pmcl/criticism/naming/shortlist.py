@@ -30,8 +30,8 @@ REMARKABLE = 2.5
 # Log evidence of 500 particles has a standard deviation of some 8 nats: a scan shows only far larger gains.
 SCAN_GAIN = 30.0
 """A gain of the scan must exceed this to count [nat]."""
-# How many structured candidates are refitted by their scores, and how many by the scan; and how many absorbers. With
-# such a list the prototype named 24 of 25 hidden effects.
+# How many structured candidates are refitted by their scores, how many by the scan, and how many absorbers. With three
+# by score and two by scan a first version named 24 of 25 hidden effects; the present numbers are chosen by hand.
 _BY_SCORE, _BY_SCAN, _ABSORBERS = 4, 2, 2
 # How many are refitted because their scores over the whole log, not only the fit part, are beyond the critical value.
 _BY_WHOLE_LOG = 3
@@ -190,12 +190,24 @@ def untried(ranked: Sequence[RankedEffect], trials: Sequence[Trial]) -> list[Ran
 
 
 def are_near_twins(effect: Effect, other: Effect) -> bool:
-    """Return whether the catalogue knows that two different effects look alike."""
+    """Return whether the catalogue knows that two different effects look alike.
+
+    Parameters
+    ----------
+    effect, other : Effect
+        The effects; their places do not matter.
+    """
     return effect.name != other.name and (effect.name in other.near_twins or other.name in effect.near_twins)
 
 
 def same_instance(effect: Effect, other: Effect) -> bool:
-    """Return whether two effects are the same at the same place."""
+    """Return whether two effects are the same at the same place.
+
+    Parameters
+    ----------
+    effect, other : Effect
+        The effects.
+    """
     return effect.name == other.name and effect.where == other.where
 
 

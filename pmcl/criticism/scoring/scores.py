@@ -240,7 +240,15 @@ class _Densities:
         self.caches = [sensor_of(table).score_cache(table, columns) for table in tables.sensors]
 
     def add_difference(self, above: Tables, below: Tables, score: Float) -> None:
-        """Add to `score`, (T,), the change of each row's density between two tables; equal parts are skipped."""
+        """Add the change of each row's density between two sets of tables; equal parts are skipped.
+
+        Parameters
+        ----------
+        above, below : Tables
+            The tables.
+        score : ndarray, shape (T,)
+            The array to which the change from `below` to `above` is added [nat].
+        """
         if above.motion is not below.motion or above.start is not below.start:
             score += _mean_change(self._motion(above), self._motion(below))
         for upper, lower, cache in zip(above.sensors, below.sensors, self.caches, strict=True):

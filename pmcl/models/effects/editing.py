@@ -51,12 +51,36 @@ def edit_motion(tables: Tables, change: Change, name: str) -> Tables:
 
 
 def edit_beams(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:
-    """Return the tables with fields of every table of range beams replaced; see :func:`edit_sensors`."""
+    """Return the tables with fields of every table of range beams replaced; see :func:`edit_sensors`.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables; they are not changed.
+    change : callable
+        As for :func:`edit_motion`.
+    name : str
+        Name of the effect, for messages.
+    required : bool
+        Whether there must be such a sensor.
+    """
     return edit_sensors(tables, RangeBeams, change, name, "range beams", required=required)
 
 
 def edit_landmarks(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:
-    """Return the tables with fields of every table of landmark sightings replaced; see :func:`edit_sensors`."""
+    """Return the tables with fields of every table of landmark sightings replaced; see :func:`edit_sensors`.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables; they are not changed.
+    change : callable
+        As for :func:`edit_motion`.
+    name : str
+        Name of the effect, for messages.
+    required : bool
+        Whether there must be such a sensor.
+    """
     return edit_sensors(tables, LandmarkSightings, change, name, "landmark sightings", required=required)
 
 
