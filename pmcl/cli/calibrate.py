@@ -89,7 +89,7 @@ def calibrate(
     if output is None and not print_model:
         raise click.UsageError("Missing option '-o' / '--output'", ctx)
     if model_file is not None and outliers:
-        raise click.UsageError("--outliers says what a model file says itself: give one of the two", ctx)
+        raise click.UsageError("--outliers belongs to the default model, which --model replaces: give one of the two", ctx)
     chosen = chosen_method(ctx, method, method_settings)
     if output is not None:
         protect_inputs(ctx, output, (*logs, *([model_file] if model_file else [])))
@@ -127,7 +127,7 @@ def _run(
     try:
         data = run_calibration(logs, model, checkpoint=file, **settings)
     except PmclError:
-        # The same command would fail again, and what it left would only stand in the way of the next.
+        # The same command would fail again, and its checkpoint would only be in the way of the next one.
         if not existed:
             file.unlink(missing_ok=True)
         raise

@@ -87,13 +87,13 @@ def _write(log: RobotLog, output: Path) -> None:
     from pmcl.preflight.check import disagreements
 
     log.write(output)
-    # What the numbers show by themselves was warned of when the log was built.
+    # Mistakes that the numbers show by themselves were reported when the log was built.
     warn_of(disagreements(log), str(output))
     span = log.times[-1] - log.times[0]
     click.echo(f"{output}: {log.robot}, {log.n_steps} samples over {span:.0f} s, {log.n_readings} readings")
     dropped = {name: value for name, value in log.dataset.attrs.items() if str(name).startswith("dropped_") and value}
     if dropped:
-        told = ", ".join(
+        left_out = ", ".join(
             f"{value} ({str(name).removeprefix('dropped_').replace('_', ' ')})" for name, value in dropped.items()
         )
-        click.echo(f"readings left out: {told}")
+        click.echo(f"readings left out: {left_out}")

@@ -1,4 +1,4 @@
-"""``pmcl criticize``: what the model of a log lacks."""
+"""``pmcl criticize``: find effects that the model of a log lacks."""
 
 from __future__ import annotations
 
@@ -90,10 +90,10 @@ def criticize(
     from pmcl.models.model_file import read_model
     from pmcl.reports.criticism_report import write_criticism_report
 
-    read = RobotLog.read(log)
-    model = read_model(model_file, read) if model_file is not None else None
+    robot_log = RobotLog.read(log)
+    model = read_model(model_file, robot_log) if model_file is not None else None
     found = run(
-        read, model, joint=joint, posterior=better_posterior is not None, progress=not no_progress, **settings
+        robot_log, model, joint=joint, posterior=better_posterior is not None, progress=not no_progress, **settings
     )
     commands = _next_commands(log, output, better_model, better_posterior)
     write_criticism_report(found, output, commands)
@@ -123,23 +123,23 @@ def _next_commands(
     def command(*words: str | Path) -> str:
         return shlex.join(["pmcl", *(str(word) for word in words)])
 
-    made = []
+    commands = []
     if posterior is not None:
-        made.append((
+        commands.append((
             "follow the robot on another drive with what was found",
             command("localize", "OTHER.nc", "--posterior", posterior, "-o", "track.nc"),
         ))
-        made.append(("look at the posterior", command("report", posterior, "-o", "posterior.html")))
+        commands.append(("look at the posterior", command("report", posterior, "-o", "posterior.html")))
     if model is not None:
-        made.append((
+        commands.append((
             "calibrate the better model on another drive",
             command("calibrate", "OTHER.nc", "--model", model, "-o", "other_posterior.nc"),
         ))
-        made.append((
+        commands.append((
             "look for what that drive shows besides",
             command("criticize", "OTHER.nc", "--model", model, "-o", "other.html"),
         ))
-    if not made:
+    if not commands:
         files = ("--save-model", "better.toml", "--posterior", "better.nc")
-        made.append(("keep model and posterior as files", command("criticize", log, "-o", page, *files)))
-    return made
+        commands.append(("keep model and posterior as files", command("criticize", log, "-o", page, *files)))
+    return commands

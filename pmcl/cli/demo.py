@@ -47,8 +47,8 @@ def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None
     from pmcl.reports.posterior_report import write_report
     from pmcl.simulations.amigobot import simulate_amigobot
 
-    paths = {what: folder / name for what, name in _FILES.items()}
-    on_interrupt(ctx, f"of {', '.join(_FILES.values())} only those already told were written")
+    paths = {kind: folder / name for kind, name in _FILES.items()}
+    on_interrupt(ctx, f"of {', '.join(_FILES.values())} only those named above were written")
     log = simulate_amigobot(seed=seed, where="demo")
     log.write(paths["log"])
     click.echo(f"{paths['log']}: an Amigobot with eight sonars drove for {log.n_steps} s ({log.n_readings} readings)")
@@ -58,6 +58,6 @@ def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None
     write_report(data, paths["report"])
     with replacing(paths["picture"]) as temporary:
         plot_pair(data).savefig(temporary, format="png", dpi=90)
-    for what in ("posterior", "report", "picture"):
-        click.echo(f"{what}: {paths[what]}")
+    for kind in ("posterior", "report", "picture"):
+        click.echo(f"{kind}: {paths[kind]}")
     ctx.exit(status)

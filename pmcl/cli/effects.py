@@ -1,4 +1,4 @@
-"""``pmcl effects``: what the critic can name, a model can hold and a robot can be simulated with."""
+"""``pmcl effects``: the effects that the critic finds, models may have and simulations may contain."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def localize(
         track.write_tum(tum)
     if tum_reference is not None and log.true_poses is not None:
         write_tum(tum_reference, log.times, log.true_poses)
-    _tell(track)
+    _print_summary(track)
     click.echo(f"track: {output}")
 
 
@@ -165,7 +165,7 @@ def _protect(ctx: click.Context, outputs: list[Path], inputs: list[str]) -> None
         taken.add(path.resolve())
 
 
-def _tell(track: Track) -> None:
+def _print_summary(track: Track) -> None:
     """Print what the filter did, and its errors where the log has a reference."""
     import numpy as np
 

@@ -74,11 +74,11 @@ def parameter_values(ctx: click.Context, param: click.Parameter, texts: tuple[st
     return values
 
 
-def output_option(what: str, *, required: bool = True) -> Callable[[Command], Command]:
-    """Return the option ``-o``; `what` describes the file."""
+def output_option(description: str, *, required: bool = True) -> Callable[[Command], Command]:
+    """Return the option ``-o``; `description` says what the file is."""
     kind = click.Path(path_type=Path)
     return click.option(
-        "-o", "--output", type=kind, required=required, metavar="FILE", callback=writable_file, help=what
+        "-o", "--output", type=kind, required=required, metavar="FILE", callback=writable_file, help=description
     )
 
 
@@ -108,15 +108,15 @@ def _use_effects(ctx: click.Context, param: click.Parameter, paths: tuple[str, .
 def seed_option(default: int = 0) -> Callable[[Command], Command]:
     """Return the option ``--seed``."""
     kind = click.IntRange(min=0)
-    told = "Seed of all random numbers; the same seed gives the same result."
-    return click.option("--seed", type=kind, default=default, show_default=True, help=told)
+    text = "Seed of all random numbers; the same seed gives the same result."
+    return click.option("--seed", type=kind, default=default, show_default=True, help=text)
 
 
 def progress_option(
-    what: str = "No progress bars (there are none either off a terminal).",
+    description: str = "No progress bars (there are none either off a terminal).",
 ) -> Callable[[Command], Command]:
-    """Return the option ``--no-progress``; `what` says what it leaves out."""
-    return click.option("--no-progress", is_flag=True, help=what)
+    """Return the option ``--no-progress``; `description` says what it leaves out."""
+    return click.option("--no-progress", is_flag=True, help=description)
 
 
 def wants_progress(no_progress: bool) -> bool:

@@ -1,4 +1,4 @@
-"""``pmcl report``: a posterior as a page, and what all commands say about one."""
+"""``pmcl report``: a page about a posterior, and the lines that all commands print about one."""
 
 from __future__ import annotations
 

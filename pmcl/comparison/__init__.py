@@ -1,6 +1,6 @@
-"""Which method finds the posterior soonest: several of them on one log, against a reference and against the clock.
+"""Comparison of calibration methods on one log: each has the same time, and a longer run is the reference.
 
-:mod:`~pmcl.comparison.methods` names the methods, :mod:`~pmcl.comparison.compare` runs them for the same time each,
-:mod:`~pmcl.comparison.curves` measures what they had reached when. The result goes to
+:mod:`~pmcl.comparison.methods` reads the names of methods, :mod:`~pmcl.comparison.compare` runs the methods,
+:mod:`~pmcl.comparison.curves` measures convergence and error against time. The result goes to
 :mod:`pmcl.reports.comparison_report`.
 """

@@ -85,7 +85,7 @@ class Comparison:
     Attributes
     ----------
     log : str
-        What the log is called.
+        Name of the log.
     names, units : tuple of str
         Parameters.
     truth : ndarray of shape (d,) or None
@@ -213,7 +213,7 @@ def _compile(bound: BoundModel, methods: Sequence[ComparedMethod]) -> None:
     """Run every kind of method for a moment, so that no method's time goes into compiling or importing."""
     kinds = {type(compared.method): compared.method for compared in (*methods, _REFERENCE)}
     for method in kinds.values():
-        # What is wrong with the log will be said by the run that counts.
+        # A mistake in the log is reported by the run that is measured.
         with suppress(PmclError):
             method.shortest().run(bound, _SHORTEST)
 

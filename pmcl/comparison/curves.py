@@ -1,4 +1,4 @@
-"""What a run had reached when: convergence and error of its first draws, for growing numbers of them."""
+"""Learning curves: convergence and error of the first draws of a run, for growing numbers of draws."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ Float = NDArray[np.float64]
 # Points at which the density of each prior is kept, so that a report can draw it without the model.
 _PRIOR_POINTS = 201
 _POSE = ["x", "y", "heading"]
-# Units and meaning of what a run says about its moves; those of other names are shares without a unit.
+# Units and meaning of the statistics of methods; those of other names have no unit.
 _STATISTICS = {
     "acceptance_rate": ("1", "share of accepted Metropolis proposals"),
     "transport_walk_acceptance_rate": ("1", "share of accepted random walks of theta that carry the path along"),
@@ -41,7 +41,7 @@ _STATISTICS = {
 
 
 class ParameterLike(Protocol):
-    """What the conversion needs to know of a parameter."""
+    """A parameter, as the conversion needs it."""
 
     @property
     def name(self) -> str:

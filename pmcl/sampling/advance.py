@@ -25,12 +25,12 @@ _BLOCK = 5000
 
 
 class StageRunner:
-    """One stage, and what advances it.
+    """Advances one stage of a run with emcee.
 
     Parameters
     ----------
     session : Session
-        What the stages of the run share.
+        Checkpoint, threads and stopwatch of the run.
     bound : BoundModel
         The model bound to its logs.
     walkers : int
@@ -38,7 +38,7 @@ class StageRunner:
     target : callable
         The log density that emcee's own moves need.
     move : emcee.moves.Move, optional
-        What a step does; emcee's StretchMove when left out.
+        The move that each step makes; emcee's StretchMove when left out.
     backend : StageBackend
         Where the steps are stored; those that it holds already are not made again.
     """
@@ -71,7 +71,7 @@ class StageRunner:
         state : State, optional
             Where a stage begins that has no steps yet.
         name : str
-            What the stage is called.
+            Name of the stage, for the progress bar.
         time_share : float
             The share of the stopwatch's time after which it ends.
         longest : int

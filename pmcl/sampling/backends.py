@@ -1,4 +1,4 @@
-"""What a stage of a run keeps of its steps: every draw of theta, but of the trajectories only what is needed later.
+"""The storage of a stage: every draw of theta, but only those trajectories that are needed later.
 
 A trajectory of 2000 poses takes 48 kB; stored at each step of each chain it would fill memory and disk. Three things
 are needed of them: the last one of each chain, from which the next step is made; their mean over the last steps of a

@@ -1,4 +1,4 @@
-"""What a calibration returns: plain arrays, labelled later by :mod:`pmcl.posterior`."""
+"""The results of calibration methods: plain arrays, which :mod:`pmcl.posterior` labels."""
 
 from __future__ import annotations
 

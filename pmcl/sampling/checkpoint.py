@@ -140,7 +140,7 @@ class Checkpoint:
         """Write what was done since the last time, if anything was; see :meth:`step_done` for errors."""
         if self._steps() == self._steps_written or not all(backend.whole for backend in self._stages.values()):
             return
-        begun = time.monotonic()
+        start = time.monotonic()
         temporary = self._temporary()
         try:
             with h5py.File(temporary, "w") as file:
@@ -155,7 +155,7 @@ class Checkpoint:
             with suppress(OSError):
                 temporary.unlink()
             now = time.monotonic()
-            self._due = now + max(_LEAST_PAUSE, _PAUSE_PER_WRITE * (now - begun))
+            self._due = now + max(_LEAST_PAUSE, _PAUSE_PER_WRITE * (now - start))
 
     @property
     def steps_written(self) -> int:
@@ -218,7 +218,7 @@ class Checkpoint:
             _write_stage(group, backend)
             if number == len(stages) - 1:
                 group["last_path"] = backend.last_path
-            # The stage after this one is made with what was tuned from this one's mean trajectory.
+            # The linearisation of the next stage is made from the mean trajectory of this one.
             if backend.path_sum is not None and number >= len(stages) - 2:
                 group["path_sum"] = backend.path_sum
 

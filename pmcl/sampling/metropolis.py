@@ -68,10 +68,10 @@ def update_theta(
     if bound.priors is not None:
         statistics, covered = block_statistics(bound, theta, tables, paths)
         if covered.size:
-            own, steps, shares = theta[covered], log_step[covered], accepted[covered]
+            values, steps, shares = theta[covered], log_step[covered], accepted[covered]
             priors = bound.priors if covered.size == theta.size else prior_rows(bound.priors, covered)
-            metropolis_block(rng, own, steps, n_sweeps, gain, TARGET_ACCEPTANCE, priors, statistics, shares)
-            theta[covered], log_step[covered], accepted[covered] = own, steps, shares
+            metropolis_block(rng, values, steps, n_sweeps, gain, TARGET_ACCEPTANCE, priors, statistics, shares)
+            theta[covered], log_step[covered], accepted[covered] = values, steps, shares
     if covered.size == theta.size:
         return theta, log_step, accepted
     rest = np.setdiff1d(np.arange(theta.size), covered)
@@ -91,21 +91,37 @@ def _random_walk(
     log_density: Callable[[Float], float],
     theta: Float,
     log_step: Float,
-    which: NDArray[np.int64],
+    positions: NDArray[np.int64],
     n_sweeps: int,
     gain: float,
     rng: np.random.Generator,
     accepted: Float,
 ) -> None:
-    """Do the same as the compiled block with any log density for some of the parameters; arrays change in place."""
+    """Update some parameters as the compiled block does, with any log density; arrays change in place.
+
+    Parameters
+    ----------
+    log_density : callable
+        Log density of theta given the trajectories, up to a constant.
+    theta, log_step, accepted : ndarray, shape (d,)
+        Parameters, logs of the proposals' standard deviations, and shares of accepted proposals; all are updated.
+    positions : ndarray of int
+        Which parameters are updated.
+    n_sweeps : int
+        Rounds.
+    gain : float
+        Adaptation of the steps; 0 freezes them.
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
     current = log_density(theta)
     for _ in range(n_sweeps):
-        for k in which:
+        for k in positions:
             trial = theta.copy()
             trial[k] += math.exp(log_step[k]) * rng.standard_normal()
             value = log_density(trial)
-            yes = math.log(rng.random()) < value - current
-            if yes:
+            accept = math.log(rng.random()) < value - current
+            if accept:
                 theta[k], current = trial[k], value
                 accepted[k] += 1.0 / n_sweeps
-            log_step[k] += gain * (float(yes) - TARGET_ACCEPTANCE)
+            log_step[k] += gain * (float(accept) - TARGET_ACCEPTANCE)

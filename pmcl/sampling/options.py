@@ -1,4 +1,4 @@
-"""What every calibration run is told besides its method's settings: how much, how, and where to keep it."""
+"""The options of a calibration run that are the same for every method: sizes, seed, threads, checkpoint, time."""
 
 from __future__ import annotations
 

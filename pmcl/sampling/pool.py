@@ -44,25 +44,25 @@ class WalkerThreads:
             Whatever the function or the check raises. No thread then begins another item, and those that are at work
             end first.
         """
-        todo = deque(enumerate(items))
-        made: list[Any] = [None] * len(todo)
+        waiting = deque(enumerate(items))
+        results: list[Any] = [None] * len(waiting)
 
         def work() -> None:
             while True:
                 try:
-                    k, item = todo.popleft()
+                    k, item = waiting.popleft()
                 except IndexError:
                     return
                 try:
                     check_interrupt()
                     if self._check is not None:
                         self._check()
-                    made[k] = function(item)
+                    results[k] = function(item)
                 except BaseException:
-                    todo.clear()
+                    waiting.clear()
                     raise
 
-        others = min(self._others, len(made) - 1)
+        others = min(self._others, len(results) - 1)
         helpers = [self._executor.submit(work) for _ in range(others)] if self._executor is not None else []
         try:
             work()
@@ -71,7 +71,7 @@ class WalkerThreads:
         for error in errors:
             if error is not None:
                 raise error
-        return made
+        return results
 
 
 @contextmanager

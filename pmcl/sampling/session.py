@@ -1,4 +1,4 @@
-"""What surrounds every emcee run: its memory, its threads, its checkpoint, Ctrl-C, and the chains that come out."""
+"""The parts of an emcee run that do not depend on the target: memory, threads, checkpoint, Ctrl-C, and the result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["Session", "check_run_memory", "collected", "run_session"]
 
 @dataclass(frozen=True)
 class Session:
-    """What the stages of one run share.
+    """The checkpoint, threads and stopwatch that the stages of one run share.
 
     Attributes
     ----------

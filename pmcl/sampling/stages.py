@@ -32,7 +32,7 @@ class Stage(NamedTuple):
     steps : int
         emcee steps.
     settings : SweepSettings
-        What each step does.
+        Settings of each step's sweeps.
     keep_every : int
         Every how many steps a trajectory is kept; 0: none is.
     window : int

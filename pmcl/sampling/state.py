@@ -1,4 +1,4 @@
-"""What a chain carries from sweep to sweep, what a sweep reports, and how both travel as an emcee blob."""
+"""The state of a chain, the report of a sweep, and the emcee blob that holds both."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Float = NDArray[np.float64]
 
 
 class ChainState(NamedTuple):
-    """What the next sweep of one chain needs.
+    """The state of one chain: everything that the next sweep needs.
 
     Attributes
     ----------

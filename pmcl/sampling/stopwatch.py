@@ -1,4 +1,4 @@
-"""When each step of a run was done, and when to stop: what comparing methods by their time needs."""
+"""The clock of a run: it notes when each step was done and ends the run in time, for comparisons of methods."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """What a sweep consists of.
+    """The settings of a sweep.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ def step(
     bound : BoundModel
         The model bound to its logs.
     settings : SweepSettings
-        What a sweep consists of.
+        The settings of the sweeps.
     transport : Transport, optional
         The linearisation for transport moves; without it there are none.
     transform : Unconstrained

@@ -1,4 +1,4 @@
-"""What a stage takes over from the one before: restarted chains, and the linearisation of the transport move."""
+"""Results of a stage that the next one uses: restarted chains, and the linearisation of the transport move."""
 
 from __future__ import annotations
 

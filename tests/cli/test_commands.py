@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 
 import pmcl
-from pmcl.cli.report import tell
+from pmcl.cli.report import print_verdict
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.access import parameter_names, true_theta
 from pmcl.posterior.compat import assemble
@@ -126,7 +126,7 @@ def test_the_exit_status_tells_both_halves_of_the_verdict(spread, adequate, stat
         finding = {"name": "spread", "log": 0, "message": "ranges scatter more than the model says"}
         attrs = {"adequate": adequate, "p_value": 0.5, "readings": 9, "findings": json.dumps([finding])}
         groups["predictive_check"] = xr.Dataset({"residual_range": ("time", np.zeros(9))}, attrs=attrs)
-    assert tell(assemble(groups, {})) == status
+    assert print_verdict(assemble(groups, {})) == status
     assert ("readings and model disagree" in capsys.readouterr().out) == (adequate == 0)
 
 
