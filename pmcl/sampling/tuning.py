@@ -59,13 +59,13 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
             f"no chain got past row {reached} of {longest}: every particle dies there; "
             "use more particles, wider priors, or a model with outliers"
         )
-    evidence = np.where(complete, blobs["log_evidence"][backend.window], -np.inf)
-    centre = np.median(evidence, axis=0)
+    log_evidence = np.where(complete, blobs["log_evidence"][backend.window], -np.inf)
+    centre = np.median(log_evidence, axis=0)
     best = int(np.argmax(centre))
     gap = centre[best] - centre
     limit = np.inf
     if stage.restart_lost:
-        spread = 1.4826 * float(np.median(np.abs(evidence[:, best] - centre[best])))
+        spread = 1.4826 * float(np.median(np.abs(log_evidence[:, best] - centre[best])))
         limit = max(_LOST_NATS, _LOST_SPREADS * spread)
     lost = np.flatnonzero(~complete | ~(gap <= limit))
     for chain in lost:

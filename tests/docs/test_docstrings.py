@@ -6,6 +6,7 @@ import doctest
 import shlex
 import tomllib
 
+import click
 import numpy as np
 import pytest
 from docs.documents import documented_objects, literal_blocks, shortened
@@ -54,7 +55,8 @@ def test_literal_blocks_run(name, scope, tmp_path):
     if block.startswith("pmcl "):  # commands: their options are those of the command line
         for line in block.splitlines():
             command, *arguments = shlex.split(line)[1:]
-            known = {option for each in application.commands[command].params for option in each.opts}
+            main = application.commands[command]
+            known = {option for each in main.get_params(click.Context(main)) for option in each.opts}
             for sub in getattr(application.commands[command], "commands", {}).values():
                 known |= {option for each in sub.params for option in each.opts}
             assert {word for word in arguments if word.startswith("-")} <= known, line

@@ -181,7 +181,8 @@ def test_calibrating_with_an_effect_resumes_and_tells_its_place(tmp_path):
     log = base_log()
     beams = BY_NAME["beam-bias"].instances(log)
     checkpoint = tmp_path / "run.h5"
-    settings = {"draws": 6, "chains": 2, "seed": 3, "burn_in_particles": 100, "checkpoint": checkpoint}
+    method = pmcl.ParticleGibbs(burn_in_particles=100)
+    settings = {"method": method, "draws": 6, "chains": 2, "seed": 3, "checkpoint": checkpoint}
     model = replace(default_model(log), effects=(beams[2],))
     first = theta_draws(pmcl.calibrate(log, model, **settings))
     again = theta_draws(pmcl.calibrate(log, model, **settings, resume=True))

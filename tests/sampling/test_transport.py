@@ -214,5 +214,6 @@ def test_accepting_every_block_does_not(rail, rng):
 
 def test_a_sensor_without_linearisation_gives_no_transport(amigobot, monkeypatch):
     bound, reference, _ = amigobot
-    monkeypatch.setattr("pmcl.sampling.transport.reading_geometry", lambda table, reference: None)
+    room = "pmcl.models.sensors.range_beams.sensor.RangeNoise.linearise"
+    monkeypatch.setattr(room, staticmethod(lambda table, reference: None))
     assert linearised_at(bound, THETA, [reference], Proposal(np.eye(4))) is None
