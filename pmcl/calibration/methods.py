@@ -1,11 +1,11 @@
-"""Calibration methods by name: pmcl's own and those that others registered."""
+"""Calibration methods by name: pmcl's own and those that others registered. Importing this costs nothing."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from pmcl.calibration.method import CalibrationMethod
-from pmcl.errors import SamplingError, did_you_mean
+from pmcl.errors import SamplingError
 from pmcl.registry import METHODS, registered
 
 __all__ = ["as_method", "method_class", "method_names"]
@@ -36,9 +36,9 @@ def method_class(name: str) -> type[CalibrationMethod]:
     """
     known = registered(METHODS)
     if name not in known:
-        listed = ", ".join(f"'{each}'" for each in known)
-        advice = did_you_mean(name, known, "choose one of them")
-        raise SamplingError(f"expected method as one of {listed}, but got '{name}'; {advice}")
+        from pmcl.checks import check_choice
+
+        check_choice("method", name, known, error=SamplingError)
     found = known[name]
     if not (isinstance(found, type) and issubclass(found, CalibrationMethod) and getattr(found, "name", "") == name):
         raise SamplingError(
@@ -72,4 +72,4 @@ def as_method(method: Any) -> CalibrationMethod:
             f"expected method as a calibration method or its name, but got {type(method).__name__}; write for example "
             "ParticleGibbs(particles=25) or 'ensemble'"
         )
-    return method_class(" ".join(method.split())[:40])()
+    return method_class(method)()

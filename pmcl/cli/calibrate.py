@@ -9,7 +9,7 @@ import click
 
 from pmcl import defaults
 from pmcl.cli.application import on_interrupt
-from pmcl.cli.method_options import MethodCommand, MethodName, chosen_method, method_descriptions
+from pmcl.cli.method_options import MethodCommand, chosen_method
 from pmcl.cli.options import (
     effects_option,
     output_option,
@@ -43,13 +43,6 @@ _COUNT = click.IntRange(min=1)
 @click.option("--print-model", is_flag=True, help="Print the model as a model file that you can edit, and stop.")
 @effects_option()
 @click.option("--outliers", is_flag=True, help="Add to the model that a share of the readings are gross errors.")
-@click.option(
-    "--method",
-    type=MethodName(),
-    default="particle-gibbs",
-    show_default=True,
-    help=f"{method_descriptions()} Their settings are the options that follow.",
-)
 @click.option("--draws", type=_COUNT, default=defaults.DRAWS, show_default=True, help="Draws of each chain.")
 @click.option("--chains", type=_COUNT, default=defaults.CHAINS, show_default=True, help="Number of chains.")
 @seed_option()
@@ -89,7 +82,7 @@ def calibrate(
     if output is None and not print_model:
         raise click.UsageError("Missing option '-o' / '--output'", ctx)
     if model_file is not None and outliers:
-        raise click.UsageError("--outliers belongs to the default model, which --model replaces: give one of the two", ctx)
+        raise click.UsageError("--outliers is for the default model, which --model replaces: give one of the two", ctx)
     chosen = chosen_method(ctx, method, method_settings)
     if output is not None:
         protect_inputs(ctx, output, (*logs, *([model_file] if model_file else [])))

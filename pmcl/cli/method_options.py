@@ -15,36 +15,21 @@ if TYPE_CHECKING:
 
     from pmcl.calibration.method import CalibrationMethod
 
-__all__ = ["MethodCommand", "MethodName", "chosen_method", "method_descriptions"]
-
-
-class MethodName(click.ParamType):  # type: ignore[type-arg,unused-ignore]
-    """The name of a registered calibration method."""
-
-    name = "method"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """Return the names, for the help."""
-        return f"[{'|'.join(method_names())}]"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the name of a method that is registered."""
-        return str(click.Choice(method_names()).convert(value, param, ctx))
+__all__ = ["MethodCommand", "chosen_method"]
 
 
 class MethodCommand(click.Command):
-    """A command that has, after its option --method, an option for each setting of each registered method."""
+    """A command with the option --method, and an option for each setting of each registered method, before --draws.
+
+    They are looked up when the command is used, so that methods of installed packages and of the same process are
+    known, and a package that cannot be imported does no harm to other commands.
+    """
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the command's own parameters and those of the methods."""
         params = super().get_params(ctx)
-        place = 1 + [param.name for param in params].index("method")
-        return [*params[:place], *_options(), *params[place:]]
-
-
-def method_descriptions() -> str:
-    """Return what each method does, for the help."""
-    return " ".join(f"{name}: {method_class(name).description}." for name in method_names())
+        place = [param.name for param in params].index("draws")
+        return [*params[:place], _method_option(), *_setting_options(), *params[place:]]
 
 
 def chosen_method(ctx: click.Context, name: str, given: dict[str, Any]) -> CalibrationMethod:
@@ -82,7 +67,14 @@ def chosen_method(ctx: click.Context, name: str, given: dict[str, Any]) -> Calib
     return method(**settings)
 
 
-def _options() -> list[click.Parameter]:
+def _method_option() -> click.Option:
+    names = method_names()
+    descriptions = " ".join(f"{name}: {method_class(name).description}." for name in names)
+    text = f"{descriptions} The options that follow are their settings."
+    return click.Option(["--method"], type=click.Choice(names), default=names[0], show_default=True, help=text)
+
+
+def _setting_options() -> list[click.Option]:
     """Return an option for each setting, in the order of the methods."""
     declared: dict[str, dict[str, tuple[Setting, Any]]] = {}
     for name in method_names():

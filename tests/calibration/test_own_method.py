@@ -158,6 +158,15 @@ def test_names_of_methods():
         as_method("other")
 
 
+def test_what_is_no_method_harms_no_other_command():
+    registry.register(registry.METHODS, "broken", int)
+    assert _command("simulate", "--help").exit_code == 0
+    refused = _command("calibrate", "--help")
+    assert refused.exit_code == 2
+    assert refused.stderr.startswith("pmcl: error: expected a subclass of CalibrationMethod named 'broken'")
+    assert len(refused.stderr.splitlines()) == 1
+
+
 def test_settings_are_checked_where_the_method_is_made():
     for wrong in ({"scale": 9.0}, {"scale": "x"}, {"reverse": 1}, {"order": "odd"}):
         with pytest.raises(SamplingError, match="expected") as caught:
