@@ -6,7 +6,7 @@ A table is a NamedTuple of arrays and numbers. Each of its fields declares its a
         std: Annotated[Float, Axes("beam")]
         extras: NoExtras | MyExtras = NoExtras()
 
-Fields that only effects use stand in the table's ``extras``. Kernels are compiled for the type of the extras: with
+Fields that only effects use stand in the table's ``extras``; the annotation of that field names their types. Kernels are compiled for the type of the extras: with
 :class:`NoExtras` the fast ones, with the table's own type the full ones, some three times slower. An effect does not
 choose: it names the fields that it changes, and :func:`with_fields` adds extras where one of them needs it. Each field
 of the extras declares the neutral value at which the full kernels have the density of the fast ones.
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ __all__ = [
     "axes_of",
     "axis_sizes",
     "channels_that_differ",
+    "extras_types",
     "field_of",
     "same_extras",
     "some_channels",
@@ -65,6 +66,19 @@ def _declared(table_type: type) -> dict[str, Axes]:
     return found
 
 
+@functools.cache
+def _extras_types(table_type: Any) -> tuple[Any, ...]:
+    if "extras" not in table_type._fields:
+        return ()
+    return tuple(kind for kind in get_args(get_type_hints(table_type)["extras"]) if kind is not NoExtras)
+
+
+def extras_types(table: Any) -> tuple[Any, ...]:
+    """Return the types of extras that a table may have, as its annotation lists them; each extends those before it."""
+    table_type: Any = type(table)
+    return _extras_types(table_type)
+
+
 def axes_of(table_type: type) -> dict[str, tuple[str | int, ...]]:
     """Return the axes of each field of a table type that declares them.
 
@@ -83,7 +97,8 @@ def axes_of(table_type: type) -> dict[str, tuple[str | int, ...]]:
 def axis_sizes(table: Any) -> dict[str, int]:
     """Return the size of each named axis, as the table's own fields have it; of the extras, nothing is read."""
     sizes: dict[str, int] = {}
-    for name, axes in _declared(type(table)).items():
+    table_type: Any = type(table)
+    for name, axes in _declared(table_type).items():
         for axis, size in zip(axes.names, np.shape(getattr(table, name)), strict=True):
             if isinstance(axis, str):
                 sizes.setdefault(axis, size)
@@ -105,16 +120,15 @@ def with_extras(table: Any, extras_type: type | None = None) -> Any:
     Parameters
     ----------
     table : NamedTuple
-        A table. One that has the extras already, or whose type declares none (attribute ``extras_types``), comes back
-        as it is.
+        A table. One that has the extras already, or whose type declares none, comes back as it is.
     extras_type : type, optional
-        Which of the declared types; the first when left out. A type extends those before it.
+        Which of the declared types (:func:`extras_types`); the first when left out.
 
     Returns
     -------
     NamedTuple
     """
-    known: tuple[type, ...] = getattr(table, "extras_types", ())
+    known = extras_types(table)
     if not known:
         return table
     target = known[0] if extras_type is None else extras_type
@@ -151,7 +165,7 @@ def with_fields(table: Any, changes: Mapping[str, Any]) -> Any:
     own = {name: value for name, value in changes.items() if name in table._fields}
     others = {name: value for name, value in changes.items() if name not in own}
     if others:
-        for kind in getattr(table, "extras_types", ()):
+        for kind in extras_types(table):
             if set(others) <= set(kind._fields):
                 table = with_extras(table, kind)
                 break
@@ -174,7 +188,7 @@ def field_of(table: Any, name: str) -> Any:
     extras = getattr(table, "extras", None)
     if extras is not None and name in extras._fields:
         return getattr(extras, name)
-    for kind in getattr(table, "extras_types", ()):
+    for kind in extras_types(table):
         if name in kind._fields:
             return _neutral(_declared(kind)[name], table, axis_sizes(table))
     raise AttributeError(f"a {type(table).__name__} has no field {name!r}")
@@ -182,7 +196,7 @@ def field_of(table: Any, name: str) -> Any:
 
 def same_extras(table: Any, other: Any) -> tuple[Any, Any]:
     """Return two tables of one type with extras of one type: of the one that has more, or none."""
-    kinds = (NoExtras, *getattr(table, "extras_types", ()))
+    kinds = (NoExtras, *extras_types(table))
     ranks = [kinds.index(type(each.extras)) if "extras" in each._fields else 0 for each in (table, other)]
     if ranks[0] == ranks[1]:
         return table, other
@@ -190,9 +204,7 @@ def same_extras(table: Any, other: Any) -> tuple[Any, Any]:
     return with_extras(table, target), with_extras(other, target)
 
 
-def channels_that_differ(
-    table: Any, other: Any, axis: str, ignore: Iterable[str] = ()
-) -> NDArray[np.bool_] | None:
+def channels_that_differ(table: Any, other: Any, axis: str, ignore: Iterable[str] = ()) -> NDArray[np.bool_] | None:
     """Return in which places of one axis two tables of one type, with extras of one type, differ.
 
     Parameters

@@ -7,6 +7,8 @@ import time
 import numpy as np
 import pytest
 
+from pmcl.engine.tables import axis_sizes, with_extras, with_fields
+from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.metropolis import metropolis_block
 from pmcl.filtering.particle_filter import update_path
 from pmcl.filtering.statistics import trajectory_statistics
@@ -80,3 +82,43 @@ def test_two_walkers_on_two_cores(benchmark, landmarks, n):
     with walker_pool(None, 2) as pool:
         benchmark(pool.map, move, [state, state])
     benchmark.extra_info["speed_up"] = 2.0 * one / benchmark.stats["min"]
+
+
+def _with_every_effect(tables):
+    """Tables whose sensor has every component of its mixture."""
+    sensor = tables.sensors[0]
+    rows, channels = axis_sizes(sensor).get("time"), axis_sizes(sensor)
+    if "beam" in channels:
+        each = np.ones(channels["beam"])
+        changes = {
+            "growth": 0.1 * each, "tail": 0.2, "width": 0.1 * each, "short_weight": 0.1 * each, "short_length": 0.7,
+            "no_echo_weight": 0.05 * each, "specular_weight": 0.3 * each, "specular_angle": 0.6,
+            "talk_weight": 0.1 * each, "correlation": 0.3 * each, "lag": np.full(rows, 0.2),
+            "obstacles": np.array([[1.5, 1.0, 0.3, 0.4]]), "outlier_weight": 0.02 * each,
+        }  # fmt: skip
+    else:
+        each = np.ones(channels["landmark"])
+        changes = {
+            "range_growth": 0.1 * each, "bearing_falloff": 0.1 * each, "depth": 0.3, "misread_weight": 0.05 * each,
+            "range_correlation": 0.3 * each, "bearing_correlation": 0.3 * each, "outlier_weight": 0.02 * each,
+            "lag": np.full(sensor.first.size - 1, 0.2),
+        }  # fmt: skip
+    return tables._replace(sensors=(with_fields(sensor, changes),))
+
+
+@pytest.mark.parametrize("effects", ["neutral", "every effect"])
+def test_full_kernels_along_a_path_of_beams(benchmark, amigobot, effects):
+    _along_a_path(benchmark, amigobot, effects)
+
+
+@pytest.mark.parametrize("effects", ["neutral", "every effect"])
+def test_full_kernels_along_a_path_of_landmarks(benchmark, landmarks, effects):
+    _along_a_path(benchmark, landmarks, effects)
+
+
+def _along_a_path(benchmark, case, effects):
+    tables = case.tables[0]
+    full = _with_every_effect(tables) if effects == "every effect" else tables._replace(sensors=(with_extras(tables.sensors[0]),))
+    columns = np.ascontiguousarray(case.path.T)[None]
+    terms = benchmark(smc.sensor_terms, full.sensors[0], columns)
+    assert np.isfinite(terms).all()

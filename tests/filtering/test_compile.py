@@ -14,14 +14,16 @@ from oracles import hidden_markov
 from oracles.random_walk_model import rail_log, rail_model
 
 from pmcl.engine import contract, disk_cache
+from pmcl.engine.compile import entry
 from pmcl.engine.disk_cache import DiskCache
 from pmcl.engine.file_lock import FileLock
 from pmcl.engine.vector_math import exp_into
+from pmcl.errors import ModelError
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import make_rng, update_path
 
 TESTS = Path(__file__).resolve().parents[1]
-PACKAGE = Path(disk_cache.__file__).resolve().parents[3]
+PACKAGE = Path(disk_cache.__file__).resolve().parents[2]
 
 # A kernel of one's own, in a file of its own: its answer is VALUE, so a stale one would be seen.
 SMALL = """
@@ -53,7 +55,7 @@ RUN_INNER = """
 import small
 from numba import typeof
 from pmcl.engine.contract import scratch_rows
-inner = scratch_rows.compiled[small.Marked]
+inner = scratch_rows.compiled[small.Marked, None]
 inner.compile((typeof(small.Marked(1.0)),))
 print(sum(inner.stats.cache_hits.values()), sum(inner.stats.cache_misses.values()))
 """
@@ -119,6 +121,40 @@ def test_tables_of_one_model_have_one_type():
     assert len(kinds) == 1
 
 
+class Growing(NamedTuple):
+    """A table whose implementation makes an array, without saying so."""
+
+    number: float
+
+
+@contract.scratch_rows.register(Growing)
+def _rows_of_growing(table):
+    return np.zeros(3).size
+
+
+class Honest(NamedTuple):
+    """One that says so."""
+
+    number: float
+
+
+@contract.scratch_rows.register(Honest, allocates=True)
+def _rows_of_honest(table):
+    return np.zeros(3).size
+
+
+@entry
+def rows_of(table):
+    return contract.scratch_rows(table)
+
+
+def test_an_implementation_that_makes_arrays_without_saying_so_is_named_in_one_line():
+    with pytest.raises(ModelError, match=r"_rows_of_growing \(.*test_compile.py.*allocates=True") as caught:
+        rows_of(Growing(1.0))
+    assert "\n" not in str(caught.value)
+    assert rows_of(Honest(1.0)) == 3
+
+
 def _file_of(signature=(1,), function=smc.redraw_path):
     return function._cache.file_of(signature, function.targetctx.codegen())
 
@@ -156,7 +192,7 @@ def test_table_types_of_one_name_in_two_modules_have_two_files():
 
 def test_the_file_covers_every_kernel_file_and_registered_implementation(monkeypatch):
     before = disk_cache._package_hash.__wrapped__()
-    for name in ("ranges.py", "smc.py", "vector_math.py", "tables.py"):
+    for name in ("neighbours.py", "plain.py", "smc.py", "vector_math.py", "tables.py"):
         with monkeypatch.context() as patch:
             real = Path.read_bytes
             patch.setattr(

@@ -1,4 +1,4 @@
-"""The richer tables: plain at their nulls, normalised with everything in them, drawn from as they are evaluated."""
+"""Tables with extras: plain where those are neutral, normalised with every effect in them, as their definitions say."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from oracles import made_tables
+from oracles import densities, made_tables
 from scipy import integrate, stats
 
 from pmcl.engine import contract
 from pmcl.engine.compile import entry
-from pmcl.engine.tables import with_extras, with_fields
+from pmcl.engine.tables import FieldView, with_extras, with_fields
 from pmcl.filtering.kernels import smc
 from pmcl.models.sensors.range_beams.table import ring_neighbours
 from pmcl.models.starts.table import WiderStart, wider_start
@@ -88,7 +88,6 @@ ALONE = {
 
 
 def rounded_or_not(beams, name, rng):
-    rich = with_extras(beams)
     if name == "everything":
         return everything(beams, rng)
     if name == "everything rounded":
@@ -135,6 +134,15 @@ def _tables(path, sensor):
 
 
 @BEAM_CASES
+def test_readings_have_the_density_of_their_definition(name, rng):
+    path = made_tables.poses_in_room(rng, 6)
+    path = 0.5 * path + 0.5 * path[2]
+    table = rounded_or_not(made_tables.range_beams(path, rng), name, rng)
+    expected = [densities.range_readings_with_extras(table, t, path[max(t - 1, 0)], path[t]) for t in range(6)]
+    np.testing.assert_allclose(along(table, path), expected, rtol=1e-7, atol=1e-9)
+
+
+@BEAM_CASES
 def test_the_density_of_a_reading_integrates_to_one(name, rng):
     """Over all lengths, with the probabilities of the two clipped ones; each beam, at several poses."""
     n = 6001
@@ -147,11 +155,12 @@ def test_the_density_of_a_reading_integrates_to_one(name, rng):
     reading[1::2] = grid[:, None]  # every second row; the rows between are the echoes before
     base = base._replace(reading=reading, measured=np.full(2 * grid.size, n_beams))
     table = rounded_or_not(base, name, rng)
-    table = table._replace(
-        bias_at=np.tile(table.bias_at[1], (2 * grid.size, 1)),
-        std_factor=np.full(2 * grid.size, table.std_factor[1]),
-        lag=np.full(2 * grid.size, table.lag[1]),
-    )
+    extras = table.extras
+    table = with_fields(table, {
+        "bias_at": np.tile(extras.bias_at[1], (2 * grid.size, 1)),
+        "std_factor": np.full(2 * grid.size, extras.std_factor[1]),
+        "lag": np.full(2 * grid.size, extras.lag[1]),
+    })  # fmt: skip
     path = np.tile(pair, (grid.size, 1))
     for beam in range(n_beams):
         # Only this beam is read at the rows in question.
@@ -204,14 +213,14 @@ def test_single_readings_add_up_and_know_their_distribution(name, rng):
         np.testing.assert_allclose(high[0], density[0], rtol=1e-9)
         np.testing.assert_allclose(high[-1] - low[-1], density[-1], rtol=1e-7, atol=1e-9)
         inner = integrate.cumulative_trapezoid(density[1:-1], edges[1:-1], axis=0, initial=0.0)
-        if table.step == 0.0:
+        if table.extras.step == 0.0:
             np.testing.assert_allclose(low[1:-1] - low[1], inner, atol=1e-2)
         else:
             # Rounded: within a cell the two are the cell's edges, and their difference is the cell's probability.
             middle = np.arange(1, len(edges) - 1)
-            width = np.minimum(
-                np.floor(edges[middle] / table.step + 0.5) * table.step + 0.5 * table.step, longest
-            ) - np.maximum(np.floor(edges[middle] / table.step + 0.5) * table.step - 0.5 * table.step, 0.0)
+            step = table.extras.step
+            centre = np.floor(edges[middle] / step + 0.5) * step
+            width = np.minimum(centre + 0.5 * step, longest) - np.maximum(centre - 0.5 * step, 0.0)
             if name.startswith("step"):
                 plain = base.outlier_weight[beam] == 0.0
                 if plain:
@@ -228,8 +237,7 @@ def test_neighbours_are_those_by_direction():
 
 
 def far_tables(rng, **changes):
-    motion = with_extras(made_tables.increment_motion(rng))
-    return motion._replace(**changes)
+    return with_fields(with_extras(made_tables.increment_motion(rng)), changes)
 
 
 MOTIONS = {
@@ -245,6 +253,7 @@ MOTIONS = {
 
 def step_logpdf(motion, t, before, after):
     """The density of a step written again from the definition."""
+    motion = FieldView(motion)
     grip = np.prod([1.0 - e for x, y, r, e in motion.patches if math.hypot(before[0] - x, before[1] - y) < r])
     c, s = math.cos(before[2]), math.sin(before[2])
     dx, dy = after[0] - before[0], after[1] - before[1]
@@ -338,6 +347,7 @@ def test_drawn_steps_have_the_transition_density(name, compiled, rng):
     c, s = math.cos(2.2), math.sin(2.2)
     dx, dy = current[0] - 0.5, current[1] + 0.3
     moved = np.stack([c * dx + s * dy, c * dy - s * dx, current[2] - 2.2], axis=-1)
+    motion = FieldView(motion)
     law = stats.norm if motion.tail == 0.0 else stats.t(1.0 / motion.tail)
     grip = np.prod([1.0 - e for x, y, r, e in motion.patches if math.hypot(0.5 - x, -0.3 - y) < r])
     for d in range(3):
@@ -373,7 +383,7 @@ def test_wider_starts(rng):
 # Sightings
 
 
-def rich_sightings(n_steps, rng, **changes):
+def sightings_with_extras(n_steps, rng, **changes):
     seen = with_extras(made_tables.sightings(n_steps, rng))
     full = {
         "lag": rng.uniform(-0.2, 0.5, n_steps),
@@ -384,7 +394,7 @@ def rich_sightings(n_steps, rng, **changes):
         "range_correlation": np.array([0.0, 0.7, 0.3, 0.9]),
         "bearing_correlation": np.array([0.5, 0.6, 0.0, 0.9]),
     }
-    return seen._replace(**{**full, **changes})
+    return with_fields(seen, {**full, **changes})
 
 
 def same_landmarks_again(seen):
@@ -401,7 +411,7 @@ def wrapped(angle):
 
 def errors_before(seen, t, named, before):
     """Residual and standard deviation of distance and bearing of a landmark in the row before t; NaN: unrelated."""
-    error, spread = np.full(2, math.nan), np.ones(2)
+    seen, error, spread = FieldView(seen), np.full(2, math.nan), np.ones(2)
     c, s = math.cos(before[2]), math.sin(before[2])
     for k in range(seen.first[max(t - 1, 0)], seen.first[t]):
         if seen.landmark[k] != named:
@@ -410,8 +420,8 @@ def errors_before(seen, t, named, before):
         ahead = c * delta[0] + s * delta[1] - seen.sensor_pose[0]
         aside = c * delta[1] - s * delta[0] - seen.sensor_pose[1]
         distance, bearing = math.hypot(ahead, aside), math.atan2(aside, ahead) - seen.sensor_pose[2]
-        told = distance * (1.0 - seen.depth + seen.depth * math.cos(bearing))
-        error[0] = seen.range[k] - seen.range_scale[named] * told - seen.range_bias[named]
+        read = distance * (1.0 - seen.depth + seen.depth * math.cos(bearing))
+        error[0] = seen.range[k] - seen.range_scale[named] * read - seen.range_bias[named]
         error[1] = wrapped(seen.bearing[k] - bearing - seen.bearing_bias[named])
         spread[0] = seen.range_std[named] * (1.0 + seen.range_growth[named] * distance)
         spread[1] = seen.bearing_std[named] * (1.0 + seen.bearing_falloff[named] / max(distance, 0.1))
@@ -420,6 +430,7 @@ def errors_before(seen, t, named, before):
 
 def sighting_density(seen, t, before, now):
     """The density of a row of sightings written again from the definition."""
+    seen = FieldView(seen)
     pose = now - seen.lag[t] * (now - before)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total = 0.0
@@ -439,8 +450,8 @@ def sighting_density(seen, t, before, now):
             # Another landmark has no memory of this one's errors.
             by, share = (shift, narrower) if j == named else (np.zeros(2), np.ones(2))
             if not math.isnan(seen.range[k]):
-                told = distance * (1.0 - seen.depth + seen.depth * math.cos(bearing))
-                expected = seen.range_scale[j] * told + seen.range_bias[j]
+                read = distance * (1.0 - seen.depth + seen.depth * math.cos(bearing))
+                expected = seen.range_scale[j] * read + seen.range_bias[j]
                 std = seen.range_std[j] * (1.0 + seen.range_growth[j] * distance)
                 value += stats.norm.logpdf(seen.range[k], expected + by[0], share[0] * std)
                 outlier -= math.log(seen.max_range)
@@ -458,8 +469,8 @@ def sighting_density(seen, t, before, now):
         weights = np.full(len(hypotheses), misread / (len(hypotheses) - 1))
         weights[named] = 1.0 - misread
         with np.errstate(divide="ignore"):
-            told = np.logaddexp.reduce(np.log(weights) + np.array(hypotheses))
-            total += np.logaddexp(math.log1p(-wild) + told, np.log(wild) + outlier)
+            sound = np.logaddexp.reduce(np.log(weights) + np.array(hypotheses))
+            total += np.logaddexp(math.log1p(-wild) + sound, np.log(wild) + outlier)
     return total
 
 
@@ -467,7 +478,7 @@ def sighting_density(seen, t, before, now):
 def test_sightings_have_the_density_of_their_definition(compiled, rng):
     n_steps = 6
     path = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (n_steps, 3))
-    seen = same_landmarks_again(rich_sightings(n_steps, rng))
+    seen = same_landmarks_again(sightings_with_extras(n_steps, rng))
     related = [~np.isnan(errors_before(seen, t, j, path[t - 1])) for t in range(1, n_steps) for j in range(4)]
     assert np.any(related, axis=0).all()
     expected = [sighting_density(seen, t, path[max(t - 1, 0)], path[t]) for t in range(6)]
@@ -499,7 +510,7 @@ def test_single_channels_of_sightings_add_up_and_know_their_distribution(changes
     n, t = 5, 1
     current = rng.uniform([1.0, 1.0, -3.0], [3.0, 3.0, 3.0], (n, 3)).T.copy()
     previous = current + 0.1 * rng.standard_normal(current.shape)
-    seen = same_landmarks_again(rich_sightings(6, rng, **changes))
+    seen = same_landmarks_again(sightings_with_extras(6, rng, **changes))
     draft, memory = np.zeros((3, n)), np.zeros((3, n))
     whole, added = np.zeros(n), np.zeros(n)
     compiled_readings(seen, t, previous, current, whole, scratch_for(seen, n))

@@ -9,10 +9,11 @@ import pytest
 from oracles import densities, made_tables
 from scipy import optimize, stats
 
-from pmcl.engine import contract  # noqa: F401  (smc imports the implementations)
+from pmcl.engine import contract
 from pmcl.engine.compile import entry
 from pmcl.engine.student import log_normal_tail
 from pmcl.filtering.kernels import smc  # noqa: F401  (smc imports the implementations)
+from pmcl.models.sensor import sensor_of
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -184,7 +185,7 @@ def test_transitions_along_a_path(compiled, rng):
     function = compiled_transition_path if compiled else contract.path_transition_logpdf
     expected = [0.0] + [densities.transition(motion, t, path[t - 1], path[t]) for t in range(1, 6)]
     np.testing.assert_allclose(_along(function, motion, path), expected, rtol=1e-10)
-    row_by_row = contract.path_transition_logpdf.implementations[object]
+    row_by_row = contract.path_transition_logpdf.implementations[object, None]
     np.testing.assert_allclose(_along(row_by_row, motion, path), expected, rtol=1e-10)
     # While data is being included a path is shorter than the log.
     np.testing.assert_allclose(_along(function, motion, path[:3]), expected[:3], rtol=1e-10)
@@ -220,7 +221,7 @@ def test_range_density_along_a_path(outliers, compiled, rng):
     function = compiled_reading_path if compiled else contract.path_reading_logpdf
     with np.errstate(divide="ignore"):  # a ray that meets nothing has length 1 / 0
         np.testing.assert_allclose(_along(function, beams, path), expected, rtol=1e-9, atol=1e-12)
-    row_by_row = contract.path_reading_logpdf.implementations[object]
+    row_by_row = contract.path_reading_logpdf.implementations[object, None]
     with np.errstate(divide="ignore"):
         np.testing.assert_allclose(_along(row_by_row, beams, path), expected, rtol=1e-9, atol=1e-12)
     with np.errstate(divide="ignore"):
@@ -286,7 +287,7 @@ def test_landmark_density_along_a_path(outliers, compiled, rng):
     expected = [densities.landmark_readings(seen, t, path[t]) for t in range(10)]
     function = compiled_reading_path if compiled else contract.path_reading_logpdf
     np.testing.assert_allclose(_along(function, seen, path), expected, rtol=1e-9, atol=1e-11)
-    row_by_row = contract.path_reading_logpdf.implementations[object]
+    row_by_row = contract.path_reading_logpdf.implementations[object, None]
     np.testing.assert_allclose(_along(row_by_row, seen, path), expected, rtol=1e-9, atol=1e-11)
     np.testing.assert_allclose(_along(function, seen, path[:4]), expected[:4], rtol=1e-9, atol=1e-11)
 
@@ -401,14 +402,14 @@ def test_linearised_range_readings(rng):
     """The shift is the gradient of the log density at the reference, row by row."""
     reference = made_tables.poses_in_room(rng, 6)
     beams = made_tables.range_beams(reference, rng, outliers=False, open_room=False)
-    geometry = sensor_of(beams).linearise(beams, reference)
-    assert geometry.reading.size > 10
+    linear = sensor_of(beams).linearise(beams, reference)
+    assert linear.reading.size > 10
     for t in range(6):
         precision, shift = np.zeros((3, 3)), np.zeros(3)
-        contract.linear_information(beams, geometry, t, precision, shift)
+        contract.linear_information(beams, linear, t, precision, shift)
         # Only the beams that were linearised: clipped ones and those that see an edge were left out.
         row = np.full_like(beams.reading, np.nan)
-        used = geometry.channel[geometry.first[t] : geometry.first[t + 1]]
+        used = linear.channel[linear.first[t] : linear.first[t + 1]]
         row[t, used] = beams.reading[t, used]
         alone = beams._replace(reading=row)
         np.testing.assert_allclose(
@@ -433,7 +434,7 @@ def test_linearised_landmark_readings(channel, rng):
         bearing = densities.wrapped(np.arctan2(delta[1], delta[0]) - sensor[2] + seen.bearing_bias[j])
         seen.bearing[k] = bearing if channel == 1 else np.nan
         seen.size[k] = seen.size_constant[j] / distance**2 if channel == 2 else np.nan
-    geometry = sensor_of(seen).linearise(seen, reference)
+    linear = sensor_of(seen).linearise(seen, reference)
 
     def density(x, t):
         value = densities.landmark_readings(seen, t, x)
@@ -446,7 +447,7 @@ def test_linearised_landmark_readings(channel, rng):
 
     for t in range(5):
         precision, shift = np.zeros((3, 3)), np.zeros(3)
-        contract.linear_information(seen, geometry, t, precision, shift)
+        contract.linear_information(seen, linear, t, precision, shift)
         np.testing.assert_allclose(shift, np.zeros(3), atol=1e-9)
         curvature = -_curvature(lambda x, t=t: density(x, t), reference[t])
         # Only the lower triangle is read, so only that is promised.
@@ -458,9 +459,9 @@ def test_linearised_landmark_readings(channel, rng):
 def test_gradient_of_linearised_landmark_readings(channel, rng):
     reference = rng.uniform([0.5, 0.5, -3.0], [3.5, 3.5, 3.0], (5, 3))
     seen = made_tables.sightings(5, rng, outliers=False, channels=tuple(k == channel for k in range(3)))
-    geometry = sensor_of(seen).linearise(seen, reference)
+    linear = sensor_of(seen).linearise(seen, reference)
     for t in range(5):
         precision, shift = np.zeros((3, 3)), np.zeros(3)
-        contract.linear_information(seen, geometry, t, precision, shift)
+        contract.linear_information(seen, linear, t, precision, shift)
         slope = _gradient(lambda x, t=t: densities.landmark_readings(seen, t, x), reference[t])
         np.testing.assert_allclose(shift, slope, rtol=1e-3, atol=1e-3 * max(1.0, np.abs(slope).max()))

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 from scipy import stats
 
+from pmcl.engine.tables import FieldView
 from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
 from pmcl.models.sensors.range_beams.table import RangeBeams
@@ -90,6 +91,101 @@ def range_readings(beams: RangeBeams, t, pose):
             outlier = math.log(share / beams.max_range) if share > 0.0 else -np.inf
             value += np.logaddexp(math.log1p(-share) + noise.logpdf(z), outlier)
     return float(value)
+
+
+def range_readings_with_extras(beams: RangeBeams, t, before, now):
+    """Log density of all readings at time t, `before` and `now` being the poses at t - 1 and t."""
+    view = FieldView(beams)
+    pose = now - view.lag[t] * (now - before)
+    value = 0.0
+    for b in range(beams.reading.shape[1]):
+        if not math.isnan(beams.reading[t, b]):
+            value += math.log(_range_density(view, t, b, before, pose))
+    return value
+
+
+def _range_density(view, t, b, before, pose):
+    """Density of one reading, or its probability where it is clipped; the components in the order of the docstring."""
+    z, longest = view.reading[t, b], view.max_range
+    length = _nearest_in_cone(view, b, pose)
+    expected, std = _expected(view, t, b, length), _std(view, t, b, length)
+    centre, width = expected, std
+    last = view.reading[t - 1, b] if t > 0 and view.correlation[b] != 0.0 else math.nan
+    if 0.0 < last < longest:
+        length_before = _nearest_in_cone(view, b, before)
+        error = last - _expected(view, t - 1, b, length_before)
+        if abs(error) < 4.0 * _std(view, t - 1, b, length_before):
+            centre, width = centre + view.correlation[b] * error, width * math.sqrt(1.0 - view.correlation[b] ** 2)
+    density = _echo_density(view, z, centre, width)
+    left, right = (_nearest_in_cone(view, k, pose) for k in view.neighbours[b])
+    talk = 0.5 * view.talk_weight[b]
+    density = (1.0 - 2.0 * talk) * density + sum(
+        talk * _echo_density(view, z, _expected(view, t, b, other), std) for other in (left, right)
+    )
+    origin = place(pose, view.beam_pose[b])
+    for x, y, radius, weight in view.obstacles:
+        distance = _disc_distance(origin, x, y, radius)
+        if distance < length:
+            density += weight * (_echo_density(view, z, _expected(view, t, b, distance), std) - density)
+    edge = (view.specular_angle - _incidence(view, origin)) / 0.1
+    weight = view.specular_weight[b] / (1.0 + math.exp(edge))
+    room = longest - max(expected, 0.0)
+    detour = stats.uniform(longest - room, room).pdf(z) * (z < longest) if room > 0.1 * longest else float(z >= longest)
+    density += weight * (detour - density)
+    short = stats.truncexpon(max(min(expected, longest), 0.01) / view.short_length, scale=view.short_length)
+    density += view.short_weight[b] * ((short.pdf(z) if z > 0.0 else 0.0) - density)
+    density += view.no_echo_weight[b] * (float(z >= longest) - density)
+    return density + view.outlier_weight[b] * ((1.0 / longest if 0.0 < z < longest else 0.0) - density)
+
+
+def _nearest_in_cone(view, b, pose):
+    turns = np.linspace(-0.5, 0.5, 5) * view.width[b] if view.width[b] > 0.0 else [0.0]
+    return min(ray_length(view, place(pose, view.beam_pose[b] + np.array([0.0, 0.0, turn]))) for turn in turns)
+
+
+def _expected(view, t, b, length):
+    return min(view.scale[b] * length + view.bias[b] + view.bias_at[t, b], 2.0 * view.max_range)
+
+
+def _std(view, t, b, length):
+    return view.std[b] * view.std_factor[t] * (1.0 + view.growth[b] * min(length, view.max_range))
+
+
+def _echo_density(view, z, centre, std):
+    noise = stats.norm(centre, std) if view.tail == 0.0 else stats.t(1.0 / view.tail, centre, std)
+    if z <= 0.0:
+        return noise.cdf(0.0)
+    if z >= view.max_range:
+        return noise.sf(view.max_range)
+    if view.step == 0.0:
+        return noise.pdf(z)
+    cell = round(z / view.step) * view.step + 0.5 * view.step * np.array([-1.0, 1.0])
+    low, high = np.clip(cell, 0.0, view.max_range)
+    return (noise.cdf(high) - noise.cdf(low)) / (high - low)
+
+
+def _disc_distance(origin, x, y, radius):
+    """Distance to a disc along a ray; inf where it passes by, or begins in the disc."""
+    centre = shapely.Point(x, y)
+    begin, tip = origin[:2], origin[:2] + FAR * np.array([math.cos(origin[2]), math.sin(origin[2])])
+    aside = shapely.LineString([begin, tip]).distance(centre)
+    away = shapely.Point(begin).distance(centre)
+    if aside >= radius or away <= radius:
+        return math.inf
+    return math.sqrt(away**2 - aside**2) - math.sqrt(radius**2 - aside**2)
+
+
+def _incidence(view, origin):
+    """Angle between a ray and the normal of the wall that it meets first; 0 without one."""
+    direction = np.array([math.cos(origin[2]), math.sin(origin[2])])
+    ray, found = shapely.LineString([origin[:2], origin[:2] + FAR * direction]), (math.inf, 0.0)
+    for start, stop in zip(view.vertices[view.wall_start], view.vertices[view.wall_stop], strict=True):
+        met = ray.intersection(shapely.LineString([start, stop]))
+        if not met.is_empty:
+            wall = (stop - start) / np.hypot(*(stop - start))
+            sine = min(abs(float(direction @ wall)), 1.0)
+            found = min(found, (met.distance(shapely.Point(origin[:2])), math.asin(sine)))
+    return found[1]
 
 
 def landmark_readings(seen: LandmarkSightings, t, pose):

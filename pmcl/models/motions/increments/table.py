@@ -73,5 +73,3 @@ class IncrementMotion(NamedTuple):
     mean: Annotated[Float, Axes("time", 3)]
     std: Annotated[Float, Axes("time", 3)]
     extras: NoExtras | MotionExtras | WanderingExtras = NoExtras()
-
-    extras_types = (MotionExtras, WanderingExtras)

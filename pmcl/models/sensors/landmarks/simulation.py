@@ -14,7 +14,7 @@ from pmcl.geometry import late_poses
 from pmcl.models.sensors.landmarks.kernels.channels import draw_given_last, draw_sightings, expected_sightings
 from pmcl.models.sensors.landmarks.kernels.identities import draw_gross_errors, draw_landmarks
 from pmcl.models.sensors.landmarks.linearisation import ideal
-from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
+from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings, extras_of
 
 __all__ = ["simulate"]
 
@@ -41,8 +41,8 @@ def _plain(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> l
 
 
 def _with_extras(table: LandmarkSightings, path: Float, rng: np.random.Generator) -> list[Float]:
-    which = draw_landmarks(table, rng)
-    centre, std, distance = expected_sightings(table, which, late_poses(path, table.extras.lag)[table.time])
+    extras, which = extras_of(table), draw_landmarks(table, rng)
+    centre, std, distance = expected_sightings(table, which, late_poses(path, extras.lag)[table.time])
     noise = rng.standard_normal((3, which.size))
     sound = draw_sightings(table, which, centre, std, distance, noise)
     gross, wild = draw_gross_errors(table, rng)
@@ -54,7 +54,7 @@ def _with_extras(table: LandmarkSightings, path: Float, rng: np.random.Generator
     prompt = late_poses(path, np.zeros(len(path)))[table.time]
     centre_before, std_before, _ = expected_sightings(table, table.landmark, prompt)
     own = (which == table.landmark) & ~gross
-    for kind, correlation in ((RANGE, table.extras.range_correlation), (BEARING, table.extras.bearing_correlation)):
+    for kind, correlation in ((RANGE, extras.range_correlation), (BEARING, extras.bearing_correlation)):
         if correlation.any():
             draw_given_last(
                 table, kind, readings[kind], own, centre[kind], std[kind] * noise[kind], centre_before[kind],

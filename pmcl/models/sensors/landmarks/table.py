@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.tables import Axes, NoExtras
 
-__all__ = ["LandmarkExtras", "LandmarkSightings"]
+__all__ = ["LandmarkExtras", "LandmarkSightings", "extras_of"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -101,7 +101,11 @@ class LandmarkSightings(NamedTuple):
     max_range: Annotated[float, Axes()]
     extras: NoExtras | LandmarkExtras = NoExtras()
 
-    extras_types = (LandmarkExtras,)
+
+def extras_of(table: LandmarkSightings) -> LandmarkExtras:
+    """Return the extras of a table that has some."""
+    assert isinstance(table.extras, LandmarkExtras)
+    return table.extras
 
 
 # Whoever has a table needs its compiled functions, which register themselves. They need the types above.

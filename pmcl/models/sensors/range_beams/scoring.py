@@ -17,7 +17,7 @@ from pmcl.engine.tables import (
     with_fields,
 )
 from pmcl.models.sensors.range_beams.kernels.full import rays_along, terms_given_rays
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import RangeBeams, extras_of
 
 __all__ = ["RayCache", "beams_that_differ", "scoring_calls"]
 
@@ -55,8 +55,8 @@ def _some_beams(beams: RangeBeams, kept: NDArray[np.int64]) -> RangeBeams:
 class RayCache:
     """The rays of a table of beams along trajectories, cast once for all tables that leave them as they are."""
 
-    def __init__(self, beams: RangeBeams, columns: Float) -> None:
-        self.columns, self.beams = columns, with_extras(beams)
+    def __init__(self, table: RangeBeams, columns: Float) -> None:
+        self.columns, self.beams = columns, with_extras(table)
         self.position = {key: k for k, key in enumerate(self._keys(self.beams))}
         self.cast: Float | None = None
 
@@ -76,7 +76,7 @@ class RayCache:
 
     @staticmethod
     def _keys(beams: RangeBeams) -> list[tuple[float, ...]]:
-        widths = beams.extras.width.tolist()
+        widths = extras_of(beams).width.tolist()
         return [(*pose, width) for pose, width in zip(beams.beam_pose.tolist(), widths, strict=True)]
 
 

@@ -46,7 +46,7 @@ class RangeNoise(RangeVariables, Sensor):
     along = staticmethod(along)
     covariates = staticmethod(covariates)
     parts_that_differ = staticmethod(beams_that_differ)
-    score_cache = RayCache
+    score_cache = staticmethod(RayCache)
     scoring_calls = staticmethod(scoring_calls)
 
     @classmethod

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.tables import Axes, NoExtras
 
-__all__ = ["OPEN_RAY", "RangeBeams", "RangeExtras", "ring_neighbours"]
+__all__ = ["OPEN_RAY", "RangeBeams", "RangeExtras", "extras_of", "ring_neighbours"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -144,7 +144,11 @@ class RangeBeams(NamedTuple):
     wall_stop: Annotated[Int, Axes("wall")]
     extras: NoExtras | RangeExtras = NoExtras()
 
-    extras_types = (RangeExtras,)
+
+def extras_of(table: RangeBeams) -> RangeExtras:
+    """Return the extras of a table that has some."""
+    assert isinstance(table.extras, RangeExtras)
+    return table.extras
 
 
 # Whoever has a table needs its compiled functions, which register themselves. They need the types above.

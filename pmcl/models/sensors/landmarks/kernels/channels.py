@@ -17,7 +17,7 @@ from pmcl.engine.scalars import HALF_LOG_2PI, wrap_angle
 from pmcl.geometry import wrap
 from pmcl.models.sensors.landmarks.kernels.rows import AHEAD, ASIDE, DISTANCE
 from pmcl.models.sensors.landmarks.linearisation import relative_positions
-from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.landmarks.table import LandmarkSightings, extras_of
 
 __all__ = [
     "NEAREST", "RELATED", "correlation_of", "draw_given_last", "draw_sightings", "expected_sightings", "given_last",
@@ -116,12 +116,12 @@ def expected_sightings(table: LandmarkSightings, which: Int, poses: Float) -> tu
     """
     ahead, aside = relative_positions(table, which, poses)
     distance, bearing = np.hypot(ahead, aside), np.arctan2(aside, ahead) - table.sensor_pose[2]
-    depth = table.extras.depth
-    seen = distance * (1.0 - depth + depth * np.cos(bearing))
+    extras = extras_of(table)
+    seen = distance * (1.0 - extras.depth + extras.depth * np.cos(bearing))
     centre = [table.range_scale[which] * seen + table.range_bias[which], bearing + table.bearing_bias[which]]
     std = [
-        table.range_std[which] * (1.0 + table.extras.range_growth[which] * distance),
-        table.bearing_std[which] * (1.0 + table.extras.bearing_falloff[which] / np.maximum(distance, NEAREST)),
+        table.range_std[which] * (1.0 + extras.range_growth[which] * distance),
+        table.bearing_std[which] * (1.0 + extras.bearing_falloff[which] / np.maximum(distance, NEAREST)),
     ]
     return np.array(centre), np.array(std), distance
 
@@ -166,8 +166,8 @@ def draw_given_last(
     centre_before, std_before : ndarray, shape (N,)
         What the pose of its own row, not late, lets one expect of each reading, and its standard deviation.
     """
-    correlations = table.extras.bearing_correlation if kind == BEARING else table.extras.range_correlation
-    correlation = correlations[table.landmark]
+    extras = extras_of(table)
+    correlation = (extras.bearing_correlation if kind == BEARING else extras.range_correlation)[table.landmark]
     last: dict[tuple[int, int], int] = {}
     for k, (t, j) in enumerate(zip(table.time.tolist(), table.landmark.tolist(), strict=True)):
         earlier = last.get((t - 1, j))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
 from pmcl.engine.linear_readings import BEARING, RANGE
-from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.landmarks.table import LandmarkSightings, extras_of
 
 __all__ = [
     "draw_gross_errors", "draw_landmarks", "gross_below", "gross_density", "identity_weight", "log_gross_density",
@@ -74,7 +74,7 @@ def draw_landmarks(table: LandmarkSightings, rng: np.random.Generator) -> Int:
     named, n, n_landmarks = table.landmark, table.landmark.size, table.position.shape[0]
     if n_landmarks == 1:
         return named
-    misread = rng.random(n) < table.extras.misread_weight[named]
+    misread = rng.random(n) < extras_of(table).misread_weight[named]
     another = (named + rng.integers(1, n_landmarks, n)) % n_landmarks
     return np.where(misread, another, named)
 

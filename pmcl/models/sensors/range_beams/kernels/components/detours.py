@@ -28,7 +28,7 @@ from pmcl.models.sensors.range_beams.kernels.rows import (
     VALUES,
     first_row,
 )
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import RangeBeams, extras_of
 
 __all__ = ["draw_detours", "mix_detours", "mix_detours_below"]
 
@@ -105,9 +105,9 @@ def mix_detours_below(sensor, beam, z, low, high, scratch):
 
 def draw_detours(table: RangeBeams, beams: BeamsAlongPath, rng: np.random.Generator) -> Alternative:
     """Draw a detour for each reading."""
-    shape, longest = table.reading.shape, table.max_range
+    shape, longest, extras = table.reading.shape, table.max_range, extras_of(table)
     incidence = np.arccos(_cosines_along_path(table, beams.poses))
-    weight = table.extras.specular_weight / (1.0 + np.exp((table.extras.specular_angle - incidence) / _EDGE))
+    weight = extras.specular_weight / (1.0 + np.exp((extras.specular_angle - incidence) / _EDGE))
     low = np.maximum(beams.expected, 0.0)
     comes_back = longest - low > _LEAST_DETOUR * longest
     return Alternative(weight, np.where(comes_back, low + (longest - low) * rng.random(shape), longest))
@@ -115,7 +115,7 @@ def draw_detours(table: RangeBeams, beams: BeamsAlongPath, rng: np.random.Genera
 
 def _cosines_along_path(table: RangeBeams, poses: Float) -> Float:
     """Return the cosine of the angle of incidence at the wall that each beam's middle ray meets; 1 without a wall."""
-    if not table.extras.specular_weight.any():
+    if not extras_of(table).specular_weight.any():
         return np.ones(table.reading.shape)
     x, y, dx, dy = origins_and_directions(table, poses)
     nearest, cosine = np.full(x.shape, np.inf), np.ones(x.shape)

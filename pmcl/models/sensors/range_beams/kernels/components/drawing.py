@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pmcl.geometry import late_poses
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths
-from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, extras_of
 
 __all__ = [
     "Alternative", "BeamsAlongPath", "beam_std", "beams_along_path", "expected_reading", "origins_and_directions",
@@ -54,19 +54,20 @@ class Alternative(NamedTuple):
 
 def expected_reading(table: RangeBeams, lengths: Float) -> Float:
     """Return what echoes from distances `lengths` (T, B) [m] should read [m]."""
-    straight = table.scale * lengths + table.bias + table.extras.bias_at
+    straight = table.scale * lengths + table.bias + extras_of(table).bias_at
     return np.asarray(np.minimum(straight, OPEN_RAY * table.max_range))
 
 
 def beam_std(table: RangeBeams, lengths: Float) -> Float:
     """Return the scale of the noise of beams of `lengths` (T, B) [m]."""
-    growth = 1.0 + table.extras.growth * np.minimum(lengths, table.max_range)
-    return np.asarray(table.std * table.extras.std_factor[:, None] * growth)
+    extras = extras_of(table)
+    growth = 1.0 + extras.growth * np.minimum(lengths, table.max_range)
+    return np.asarray(table.std * extras.std_factor[:, None] * growth)
 
 
 def beams_along_path(table: RangeBeams, path: Float) -> BeamsAlongPath:
     """Return the beams along a path (T, >= 3)."""
-    poses = late_poses(path, table.extras.lag)
+    poses = late_poses(path, extras_of(table).lag)
     lengths = beam_lengths(table, poses)
     return BeamsAlongPath(poses, lengths, expected_reading(table, lengths), beam_std(table, lengths))
 

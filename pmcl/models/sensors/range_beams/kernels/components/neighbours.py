@@ -20,7 +20,7 @@ from pmcl.models.sensors.range_beams.kernels.rows import (
     VALUES,
     first_row,
 )
-from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, extras_of
 
 __all__ = ["draw_neighbour_echoes", "mix_neighbours", "mix_neighbours_below"]
 
@@ -77,9 +77,9 @@ def mix_neighbours_below(sensor, beam, t, z, low, high, scratch):
 
 def draw_neighbour_echoes(table: RangeBeams, beams: BeamsAlongPath, rng: np.random.Generator) -> Alternative:
     """Draw the echo of a neighbour for each reading."""
-    shape = table.reading.shape
+    shape, extras = table.reading.shape, extras_of(table)
     side = rng.integers(2, size=shape)
-    neighbour = table.extras.neighbours[np.arange(shape[1]), side.reshape(-1, shape[1])]
+    neighbour = extras.neighbours[np.arange(shape[1]), side.reshape(-1, shape[1])]
     lengths = np.take_along_axis(beams.lengths, neighbour, axis=1)
     echo = draw_echo(table, expected_reading(table, lengths), beams.std, rng)
-    return Alternative(np.broadcast_to(table.extras.talk_weight, shape), echo)
+    return Alternative(np.broadcast_to(extras.talk_weight, shape), echo)

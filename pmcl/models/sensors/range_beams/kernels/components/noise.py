@@ -19,7 +19,7 @@ from pmcl.engine.student import (
     upper_tail,
 )
 from pmcl.engine.vector_math import log_into, upper_tail_into
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import RangeBeams, extras_of
 
 __all__ = ["draw_echo", "echo_below", "echo_below_into", "echo_logpdf", "echo_logpdf_into"]
 
@@ -122,7 +122,7 @@ def echo_below_into(sensor, z, centre, std, draft, low, high):
 
 def draw_echo(table: RangeBeams, centre: Float, std: Float, rng: np.random.Generator) -> Float:
     """Draw echoes around `centre` [m] with scale `std` [m], arrays of one shape."""
-    tail, noise = table.extras.tail, rng.standard_normal(np.shape(centre))
+    tail, noise = extras_of(table).tail, rng.standard_normal(np.shape(centre))
     if tail > 0.0:
         noise *= np.sqrt((0.5 / tail) / rng.standard_gamma(0.5 / tail, np.shape(centre)))
     return _rounded(table, np.clip(centre + std * noise, 0.0, table.max_range))
@@ -130,7 +130,7 @@ def draw_echo(table: RangeBeams, centre: Float, std: Float, rng: np.random.Gener
 
 def _rounded(table: RangeBeams, reading: Float) -> Float:
     """Return the middle of the cell that each unclipped reading falls into; cells end where readings do."""
-    step, longest = table.extras.step, table.max_range
+    step, longest = extras_of(table).step, table.max_range
     if step == 0.0:
         return reading
     centre = np.floor(reading / step + 0.5) * step

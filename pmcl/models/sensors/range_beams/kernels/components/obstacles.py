@@ -26,7 +26,7 @@ from pmcl.models.sensors.range_beams.kernels.rows import (
     VALUES,
     first_row,
 )
-from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, extras_of
 
 __all__ = ["draw_obstacle_echoes", "meets_obstacle", "mix_obstacles", "mix_obstacles_below"]
 
@@ -104,7 +104,7 @@ def mix_obstacles_below(sensor, beam, t, z, low, high, scratch):
 def draw_obstacle_echoes(table: RangeBeams, beams: BeamsAlongPath, rng: np.random.Generator) -> list[Alternative]:
     """Draw the echo of each obstacle for each reading, the last obstacle first: it is the last that is mixed in."""
     alternatives = []
-    for x, y, radius, weight in table.extras.obstacles[::-1]:
+    for x, y, radius, weight in extras_of(table).obstacles[::-1]:
         lengths = _lengths_along_path(table, beams.poses, x, y, radius)
         echo = draw_echo(table, expected_reading(table, lengths), beams.std, rng)
         alternatives.append(Alternative(np.where(lengths < beams.lengths, weight, 0.0), echo))

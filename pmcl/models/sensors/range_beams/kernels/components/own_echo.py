@@ -13,7 +13,7 @@ from pmcl.models.sensors.range_beams.kernels.components.drawing import BeamsAlon
 from pmcl.models.sensors.range_beams.kernels.components.noise import draw_echo
 from pmcl.models.sensors.range_beams.kernels.rows import BEAM_ROWS, CENTRE, EXPECTED, READING, STD, WIDTH, first_row
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths
-from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
+from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, extras_of
 
 __all__ = ["draw_own_echoes", "expect_own_echo"]
 
@@ -86,12 +86,13 @@ def draw_own_echoes(
     rng : numpy.random.Generator
         Source of randomness.
     """
-    if not table.extras.correlation.any():
+    correlation = extras_of(table).correlation
+    if not correlation.any():
         return np.where(taken, reading, draw_echo(table, beams.expected, beams.std, rng))
     # Row by row: each echo is drawn given the one before, and a missing row breaks the chain.
     lengths = beam_lengths(table, late_poses(path, np.zeros(len(path))))
     before, spread = expected_reading(table, lengths), beam_std(table, lengths)
-    reading, correlation = reading.copy(), table.extras.correlation
+    reading = reading.copy()
     for t in range(len(path)):
         centre, width = beams.expected[t].copy(), beams.std[t].copy()
         if t > 0:

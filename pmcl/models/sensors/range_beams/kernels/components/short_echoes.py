@@ -18,7 +18,7 @@ from pmcl.models.sensors.range_beams.kernels.rows import (
     VALUES,
     first_row,
 )
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import RangeBeams, extras_of
 
 __all__ = ["draw_short_echoes", "mix_short_echoes", "mix_short_echoes_below"]
 
@@ -81,7 +81,8 @@ def mix_short_echoes_below(sensor, beam, z, low, high, scratch):
 
 def draw_short_echoes(table: RangeBeams, beams: BeamsAlongPath, rng: np.random.Generator) -> Alternative:
     """Draw a short echo for each reading."""
-    shape, length = table.reading.shape, table.extras.short_length
+    shape, extras = table.reading.shape, extras_of(table)
+    length = extras.short_length
     room = np.clip(beams.expected, _LEAST_ROOM, table.max_range)
     reading = -length * np.log1p(rng.random(shape) * np.expm1(-room / length))
-    return Alternative(np.broadcast_to(table.extras.short_weight, shape), reading)
+    return Alternative(np.broadcast_to(extras.short_weight, shape), reading)

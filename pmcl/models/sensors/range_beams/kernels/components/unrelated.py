@@ -10,7 +10,7 @@ import numpy as np
 from pmcl.engine.compile import kernel
 from pmcl.models.sensors.range_beams.kernels.components.drawing import Alternative
 from pmcl.models.sensors.range_beams.kernels.rows import OTHERS, OWN_SHARE, READING, first_row
-from pmcl.models.sensors.range_beams.table import RangeBeams
+from pmcl.models.sensors.range_beams.table import RangeBeams, extras_of
 
 __all__ = ["draw_no_echo", "draw_outliers", "mix_unrelated", "mix_unrelated_below"]
 
@@ -41,7 +41,7 @@ def mix_unrelated_below(sensor, beam, z, low, high):
 def draw_no_echo(table: RangeBeams) -> Alternative:
     """Return what each reading is without an echo; nothing is random about it."""
     shape = table.reading.shape
-    return Alternative(np.broadcast_to(table.extras.no_echo_weight, shape), np.full(shape, table.max_range))
+    return Alternative(np.broadcast_to(extras_of(table).no_echo_weight, shape), np.full(shape, table.max_range))
 
 
 def draw_outliers(table: RangeBeams, rng: np.random.Generator) -> Alternative:
