@@ -16,7 +16,17 @@ from typing import Any, NamedTuple
 
 from pmcl.errors import ModelError
 
-__all__ = ["EFFECTS", "METHODS", "MOTIONS", "SENSORS", "names", "origin", "register", "registered", "sensor_variables"]
+__all__ = [
+    "EFFECTS",
+    "METHODS",
+    "MOTIONS",
+    "SENSORS",
+    "names_of_others",
+    "origin",
+    "register",
+    "registered",
+    "sensor_variables",
+]
 
 SENSORS, MOTIONS, EFFECTS, METHODS = "pmcl.sensors", "pmcl.motions", "pmcl.effects", "pmcl.methods"
 """Groups of entry points: classes of sensors and motion models, effects or sequences of them, calibration methods."""
@@ -135,10 +145,10 @@ def registered(group: str) -> dict[str, Any]:
     return {**_own(group), **_of_packages(group), **_added[group]}
 
 
-def names(group: str) -> tuple[str, ...]:
-    """Return the names in a group without loading what they stand for."""
+def names_of_others(group: str) -> tuple[str, ...]:
+    """Return the names in a group that are not pmcl's own, without loading what they stand for."""
     points = (point.name for point in entry_points(group=group))
-    return tuple(dict.fromkeys((*_OWN[group], *points, *_added[group])))
+    return tuple(dict.fromkeys((*points, *_added[group])))
 
 
 def sensor_variables() -> dict[str, Any]:

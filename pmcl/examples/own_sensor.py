@@ -1,12 +1,11 @@
 """A sensor of your own: a compass that reads the robot's heading, beside the landmarks that it sees.
 
 A sensor is one class (pmcl.models.Sensor) and one table, whose compiled functions are registered with pmcl.engine. An
-installed package names the class in an entry point of the group "pmcl.sensors"; logs and model files then know it, too.
+installed package names the class in an entry point of the group "pmcl.sensors"; logs and model files then know it.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -14,12 +13,12 @@ import pmcl
 from pmcl import engine
 from pmcl.geometry import wrap
 from pmcl.logs import Variable
-from pmcl.models import BoundPart, RobotModel, Sensor, default_model, gamma_prior, register_sensor
+from pmcl.models import BoundPart, Sensor, gamma_prior, register_sensor
 from pmcl.simulations import simulate_landmark_field
 
 
 class CompassTable(NamedTuple):
-    """All that compiled code sees: headings (T,) [rad], NaN where there is none, and their standard deviation [rad]."""
+    """What compiled code sees: headings (T,) [rad], NaN where there is none, and their standard deviation [rad]."""
 
     heading: Any
     std: float
@@ -42,7 +41,7 @@ def _has_reading(sensor, t):
 
 @engine.reading_logpdf.register(CompassTable)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
-    # The n columns of `current` are poses (x, y, heading). The log density of each is added to `logp`.
+    # The n columns of `current` are poses (x, y, heading).
     for i in range(logp.size):
         error = ((sensor.heading[t] - current[2, i] + math.pi) % (2.0 * math.pi) - math.pi) / sensor.std
         logp[i] -= 0.5 * error * error + math.log(sensor.std) + 0.5 * math.log(2.0 * math.pi)
@@ -50,20 +49,18 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
 
 @engine.linear_information.register(CompassTable)
 def _linear_information(sensor, error, t, precision, shift):
-    # For the transport move, which makes the chains mix: `error` comes from `Compass.linearise`.
+    # For the transport move, which makes chains mix.
     if not math.isnan(sensor.heading[t]):
         precision[2, 2] += sensor.std**-2
         shift[2] += error.heading[t] * sensor.std**-2
 
 
 @register_sensor("compass")
-@dataclass(frozen=True)
 class Compass(Sensor):
     """A compass with unknown noise, for logs with a variable `compass` (time) [rad]."""
 
     table_type = CompassTable
-    variables = {"compass": Variable(("time",), "rad", "heading in the world; NaN not measured", is_reading=True)}
-    summary = "absolute headings"
+    variables: ClassVar = {"compass": Variable(("time",), "rad", "heading; NaN not measured", is_reading=True)}
     parameters = (pmcl.Parameter("sigma_compass", "rad", gamma_prior(0.1), "noise of a heading", role="noise"),)
 
     def bind(self, log: pmcl.RobotLog) -> Any:  # noqa: D102
@@ -74,11 +71,11 @@ class Compass(Sensor):
         return table._replace(heading=wrap(table.heading[: len(reference)] - reference[:, 2]))
 
 
-@dataclass(frozen=True)
 class BoundCompass(BoundPart):
-    """The compass of one log: makes the table for values of the parameters, `theta` (1,)."""
+    """The compass of one log."""
 
-    heading: Any
+    def __init__(self, heading: Any) -> None:
+        self.heading = heading
 
     def table(self, theta: Any) -> CompassTable:  # noqa: D102
         return CompassTable(self.heading, float(theta[0]))
@@ -92,9 +89,8 @@ def record() -> pmcl.RobotLog:
 
 
 def main(draws: int = 1000) -> None:
-    """Calibrate the robot with its compass."""
-    log = record()
-    data = pmcl.calibrate(log, RobotModel(sensors=default_model(log).sensors), draws=draws)
+    """Calibrate the robot with all its sensors."""
+    data = pmcl.calibrate(record(), draws=draws)
     sigma = data.posterior["sigma_compass"]
     print(f"sigma_compass = {float(sigma.mean()):.4f} +- {float(sigma.std()):.4f} rad; simulated with 0.04")
     print(pmcl.verdict(data).message)

@@ -71,9 +71,9 @@ def assemble(
                     "make both agree",
                 )
         found[name] = (variable.dims, array, {"units": variable.units, "long_name": variable.long_name})
-    for attribute, value in of_variables.items():
+    for attribute, stated in of_variables.items():
         if owners[attribute] in found:
-            found[owners[attribute]][2][attribute] = value
+            found[owners[attribute]][2][attribute] = stated
     coords: dict[str, object] = {}
     if landmark_names:
         coords["landmark"] = list(landmark_names)

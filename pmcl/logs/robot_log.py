@@ -288,7 +288,7 @@ def _of_further_sensors(
         if name in arguments:
             fail(where, f"expected '{name}' as an argument of its own, got it in 'variables': move it")
         if name not in known:
-            advice = did_you_mean(name, known, "register its sensor (pmcl.models.register_sensor), or install its package")
+            advice = did_you_mean(name, known, "install the package of its sensor, or register it with register_sensor")
             fail(where, f"expected variables of registered sensors, got '{name}': {advice}")
     return dict(given)
 

@@ -87,11 +87,8 @@ class SensorVariables:
         ndarray of int, shape (T,)
             By default, each number counts.
         """
-        return np.sum(
-            [np.count_nonzero(~np.isnan(values.reshape(len(values), -1)), axis=1) for values in readings.values()],
-            axis=0,
-            dtype=np.int64,
-        )
+        counts = [np.count_nonzero(~np.isnan(values.reshape(len(values), -1)), axis=1) for values in readings.values()]
+        return np.asarray(np.sum(counts, axis=0), dtype=np.int64)
 
     @classmethod
     def settings(cls, log: LogArrays) -> dict[str, Float]:

@@ -211,7 +211,9 @@ def _check_readings(dataset: xr.Dataset, declared: Mapping[str, Variable], where
         if variable.minimum is not None:
             _require_at_least(dataset, name, variable.minimum, variable, where)
     for name, variable in held.items():
-        bad = [] if variable.may_be_infinite else np.argwhere(np.isinf(dataset[name].values))
+        if variable.may_be_infinite:
+            continue
+        bad = np.argwhere(np.isinf(dataset[name].values))
         if len(bad):
             place, value = _place(dataset, name, bad[0])
             fail(where, f"expected '{name}' finite or NaN (not seen), got {value} in {place}: write NaN there")

@@ -200,7 +200,8 @@ def _sensors(where: str, given: Any, log: RobotLog) -> tuple[Part, ...]:
 def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], log: RobotLog) -> Sensor:
     """Read the settings of a sensor: booleans, and numbers above zero, for the fields of its class."""
     settings, key = _table(where, name, given), f"sensors.{name}"
-    fields = {field.name: field for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+    declared: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    fields = {field.name: field for field in declared}
     _known_keys(where, key, settings, fields)
     usual = kind.default(log)
     values: dict[str, Any] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import tomlkit
@@ -75,8 +75,7 @@ def _motion_name(motion: Part) -> str:
 
 def _settings(motion: Part) -> dict[str, object]:
     """Return what a file would have to say of a motion beside its name; priors stand in a table of their own."""
-    fields = dataclasses.fields(motion) if dataclasses.is_dataclass(motion) else ()
-    values = {field.name: getattr(motion, field.name) for field in fields}
+    values = {field.name: getattr(motion, field.name) for field in _fields(motion)}
     return values | {"parameters": [parameter.name for parameter in motion.parameters]}
 
 
@@ -109,15 +108,17 @@ def _add_commented(document: tomlkit.TOMLDocument, key: str, value: str, comment
     document[key] = item
 
 
+def _fields(part: Part) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(part) if dataclasses.is_dataclass(part) else ()
+
+
 def _sensor(part: Part) -> tuple[str, Table]:
-    for name, kind in sensors().items():
-        if type(part) is kind:
-            break
-    else:
+    name, kind = next(((name, kind) for name, kind in sensors().items() if type(part) is kind), ("", None))
+    if kind is None:
         _refuse(part)
     table = tomlkit.table()
     table.comment(kind.summary)
-    for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
+    for field in _fields(part):
         value = getattr(part, field.name)
         if value is not None:
             item = tomlkit.item(value if isinstance(value, bool) else float(value))

@@ -34,14 +34,20 @@ class BoundPart(Protocol):
         path : ndarray, shape (T, D)
             The trajectory; T may be less than the log's, while data is being included.
         ideal : Any
-            For a sensor, its ideal readings along the path (:func:`pmcl.filtering.predict.ideal_readings`); None for
-            motion.
+            For a sensor, its :meth:`~pmcl.models.sensor.Sensor.ideal_readings` along the path; None for motion.
         index : ndarray of int, shape (k,)
             Position of each of the part's parameters in theta, -1 for a fixed one.
         theta : ndarray, shape (k,)
             Current values of the part's parameters.
+
+        Returns
+        -------
+        NamedTuple or None
+            Of a type that registers :func:`pmcl.engine.residuals.theta_logpdf`, e.g.
+            :class:`~pmcl.engine.residuals.GaussianSums`. A part that derives from this class and leaves the method
+            out returns None.
         """
-        ...
+        return None
 
 
 @runtime_checkable

@@ -33,7 +33,8 @@ class RobotModel:
     motion : Part
         E.g. :class:`~pmcl.models.motions.increments.motion.IncrementNoise`.
     sensors : tuple of Part
-        E.g. :class:`~pmcl.models.sensors.range_beams.sensor.RangeNoise`; readings of different sensors are independent given the path.
+        E.g. :class:`~pmcl.models.sensors.range_beams.sensor.RangeNoise`; readings of different sensors are independent
+        given the path.
     start : Part
         Belief about the first state.
     priors : mapping of str to scipy.stats frozen distribution

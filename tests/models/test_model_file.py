@@ -205,7 +205,7 @@ class OwnDistribution:
 
 
 def test_what_a_file_cannot_hold_is_refused(sonar_log):
-    with pytest.raises(ModelError, match=r"OwnNoise; keep this model in Python"):
+    with pytest.raises(ModelError, match=r"OwnNoise; register its class .*, or keep this model in Python"):
         model_text(RobotModel(OwnNoise(), RANGES), sonar_log)
     with pytest.raises(ModelError, match=r"prior of sigma_left.*OwnDistribution"):
         model_text(RobotModel(sensors=RANGES, priors={"sigma_left": OwnDistribution()}), sonar_log)

@@ -89,7 +89,7 @@ class Compass(Sensor):
 
     table_type: ClassVar[type] = CompassTable
     variables: ClassVar[Mapping[str, Variable]] = {
-        "compass": Variable(("time",), "rad", "heading in the world; NaN not measured", is_reading=True, plural="compass headings")
+        "compass": Variable(("time",), "rad", "heading; NaN not read", is_reading=True, plural="compass headings")
     }
     summary: ClassVar[str] = "absolute headings"
 

@@ -110,7 +110,7 @@ def test_impossible_readings_are_told():
         RobotLog.build(**good, variables={"compass": [0.1, np.inf]})
     with pytest.raises(LogError, match=r"expected 'compass' of shape \(time\), got \(1, 2\)"):
         RobotLog.build(**good, variables={"compass": [[0.1, 0.2]]})
-    with pytest.raises(LogError, match="expected at least one of range, .*compass, got none"):
+    with pytest.raises(LogError, match=r"expected at least one of range, .*compass, got none"):
         RobotLog.build(**good)
     with pytest.raises(LogError, match="variables of registered sensors, got 'compas': did you mean 'compass'"):
         RobotLog.build(**good, variables={"compas": [0.1, 0.2]})
@@ -350,5 +350,5 @@ def test_packages_that_cannot_be_used_are_named(entries, message, tmp_path, monk
 def test_names_that_are_taken_are_refused():
     with pytest.raises(ModelError, match="'range' is registered already"):
         register_sensor("range")(Compass)
-    with pytest.raises(ModelError, match="a class that derives from pmcl.models.Sensor, but got a"):
+    with pytest.raises(ModelError, match=r"a class that derives from pmcl\.models\.Sensor, but got a"):
         registry.register(SENSORS, "odd", 3)

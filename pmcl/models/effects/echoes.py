@@ -144,9 +144,8 @@ ECHO_EFFECTS = (
         name="dead-beam",
         summary="One beam often or always shows the greatest range, whatever is in front of it.",
         finding="beam {beams} shows the greatest range in {0:%} of its readings, whatever is in front of it",
-        parameters=(
-            Parameter("dead_beam_weight", "1", stats.beta(1.0, 1.0), "share of its readings without echo", role="weight"),
-        ),
+        parameters=(Parameter("dead_beam_weight", "1", stats.beta(1.0, 1.0), "share of its readings without echo",
+                              role="weight"),),
         null=(0.0,),
         change=_dead_beam,
         carrier="range",

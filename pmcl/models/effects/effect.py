@@ -15,7 +15,7 @@ from pmcl.models.effects.editing import settled
 from pmcl.models.parameters import Parameter, prior_support
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
-from pmcl.registry import SENSORS, names
+from pmcl.registry import SENSORS, names_of_others
 
 __all__ = ["CARRIERS", "MAGNITUDES", "Effect", "Where", "always", "named_apart"]
 
@@ -23,7 +23,7 @@ Where = Mapping[str, Sequence[float]]
 """What an effect is about, for people and files: ``{"beams": [2]}``; empty for an effect of the whole robot."""
 
 CARRIERS = ("motion", "range", "landmark", "sensor", "map")
-"""What an effect is carried by, or the name of a registered sensor; "sensor" is any sensor, or all of the robot."""
+"""What an effect is carried by; "sensor" is any sensor, or all of the robot. Names of others' sensors serve, too."""
 
 MAGNITUDES = ("just visible", "clear", "large")
 """Names of typical magnitudes, for a log of some hundred readings of each kind."""
@@ -51,7 +51,7 @@ class Effect:
     change : callable
         ``change(tables, values, log, where) -> Tables``: the edit, plain numpy. It must not alter the arrays given.
     carrier : str
-        One of :data:`CARRIERS`, or the name that model files have for a registered sensor.
+        One of :data:`CARRIERS`, or the name that model files have for the sensor of an installed package.
     symptom : str
         How it shows in the data, in one sentence.
     finding : str
@@ -110,10 +110,10 @@ class Effect:
     def __post_init__(self) -> None:
         """Check that names, values and priors belong together."""
         own = [parameter.name for parameter in self.parameters]
-        if self.carrier not in CARRIERS and self.carrier not in names(SENSORS):
-            known = ", ".join(dict.fromkeys((*CARRIERS, *names(SENSORS))))
+        if self.carrier not in CARRIERS and self.carrier not in names_of_others(SENSORS):
+            carriers = ", ".join((*CARRIERS, *names_of_others(SENSORS)))
             raise ModelError(
-                f"effect {self.name}: expected a carrier out of {known}, but got {self.carrier!r}; choose one"
+                f"effect {self.name}: expected a carrier out of {carriers}, but got {self.carrier!r}; choose one"
             )
         if not own or len(set(own)) < len(own) or len(self.null) != len(own):
             raise ModelError(

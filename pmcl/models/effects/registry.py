@@ -2,12 +2,13 @@
 
 An installed package offers effects through an entry point of the group ``pmcl.effects`` (:mod:`pmcl.registry`), whose
 object is an :class:`~pmcl.models.effects.effect.Effect` or a sequence of them. In its pyproject.toml it says, for
-example, ``[project.entry-points."pmcl.effects"]`` and below ``torque-steer = "my_package.effects:TORQUE_STEER"``. A file
-is read with :func:`read_effects`; its effects are known while :func:`use_effects` lasts.
+example, ``[project.entry-points."pmcl.effects"]`` and below ``torque-steer = "my_package.effects:TORQUE_STEER"``. A
+file is read with :func:`read_effects`; its effects are known while :func:`use_effects` lasts.
 """
 
 from __future__ import annotations
 
+import functools
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -172,7 +173,7 @@ def _installed_effects() -> tuple[Effect, ...]:
                 f"{type(offered).__name__}; repair or remove it"
             )
         for effect in effects:
-            _check_new(effect, (*CATALOGUE, *found), lambda name=name: origin(EFFECTS, name))
+            _check_new(effect, (*CATALOGUE, *found), functools.partial(origin, EFFECTS, name))
             found.append(effect)
     return tuple(found)
 

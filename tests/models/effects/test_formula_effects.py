@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from oracles.effect_logs import base_tables, field_log, model_with, path_of, sonar_log
 
+from pmcl.engine.tables import field_of
 from pmcl.errors import ModelError
 from pmcl.filtering.estimated_path import with_estimates
 from pmcl.models.effects.formula import FORMULA_CARRIERS, formula_effect, path_formulas, portable
@@ -79,8 +80,8 @@ def test_each_carrier_is_changed_by_coefficient_times_term_and_by_nothing_else(c
         "log sigma_forward": np.log(motion.std / tables.motion.std)[1:, 0],
         "log sigma_left": np.log(motion.std / tables.motion.std)[1:, 1],
         "log sigma_turn": np.log(motion.std / tables.motion.std)[1:, 2],
-        "range": getattr(beams, "bias_at", np.zeros((log.n_steps, 8)))[1:, 3],
-        "log sigma_range": np.log(getattr(beams, "std_factor", np.ones(log.n_steps)))[1:],
+        "range": field_of(beams, "bias_at")[1:, 3],
+        "log sigma_range": np.log(field_of(beams, "std_factor"))[1:],
     }
     for name, change in changes.items():
         expected = 0.3 * term[1:] if name == carrier else np.zeros(log.n_steps - 1)
@@ -110,8 +111,8 @@ def test_a_term_of_the_pose_reads_the_path_that_the_log_holds():
     with pytest.raises(ModelError, match="expected a log with an estimate of its path"):
         effect.edit(tables, [0.05], log)
     # Nothing is added without one, so a model can find the path first.
-    np.testing.assert_array_equal(effect.edit(tables, [0.0], log).sensors[0].bias_at, 0.0)
-    bias = effect.edit(tables, [0.05], with_estimates(log, tables, path)).sensors[0].bias_at
+    np.testing.assert_array_equal(effect.edit(tables, [0.0], log).sensors[0].extras.bias_at, 0.0)
+    bias = effect.edit(tables, [0.05], with_estimates(log, tables, path)).sensors[0].extras.bias_at
     np.testing.assert_allclose(bias, 0.05 * np.cos(path[:, 2, None] + log.beam_poses[:, 2]), atol=1e-15)
 
 
