@@ -169,7 +169,19 @@ def sensor_variables() -> dict[str, Any]:
 
 
 def origin(group: str, name: str) -> str:
-    """Return where a registered object comes from, for messages."""
+    """Return where a registered object comes from, for messages.
+
+    Parameters
+    ----------
+    group : str
+        One of :data:`SENSORS`, :data:`MOTIONS` and :data:`EFFECTS`.
+    name : str
+        Its name there.
+
+    Returns
+    -------
+    str
+    """
     for point in entry_points(group=group):
         if point.name == name:
             return _described(point)

@@ -1,7 +1,6 @@
 """A sensor of your own: a compass that reads the robot's heading, beside the landmarks that it sees.
 
-A sensor is one class (pmcl.models.Sensor) and one table, whose compiled functions are registered with pmcl.engine. An
-installed package names the class in an entry point of the group "pmcl.sensors"; logs and model files then know it.
+A sensor is one class and one table with compiled functions. Packages name it in an entry point "pmcl.sensors".
 """
 
 import math

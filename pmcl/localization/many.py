@@ -75,7 +75,20 @@ class Runs:
 
 
 def run_seeds(seed: int, repetitions: int) -> tuple[int, ...]:
-    """Return the seeds of the runs that :func:`localize_many` makes."""
+    """Return the seeds of the runs that :func:`localize_many` makes.
+
+    Parameters
+    ----------
+    seed : int
+        The seed of all runs.
+    repetitions : int
+        Number of runs.
+
+    Returns
+    -------
+    tuple of int
+        One for each run.
+    """
     return tuple(int(value) for value in np.random.SeedSequence(seed).generate_state(repetitions, dtype=np.uint64))
 
 

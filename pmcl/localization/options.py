@@ -37,7 +37,8 @@ class FilterOptions:
     threshold : float
         Resample where the effective sample size is at most this share of the particles: 1 always, 0 never.
     annealed : bool
-        Take in the first reading by degrees when the start is unknown, see :mod:`pmcl.filtering.kernels.tracking.anneal`.
+        Take in the first reading by degrees when the start is unknown: see
+        :mod:`pmcl.filtering.kernels.tracking.anneal`.
     recover : bool
         Look for the robot elsewhere when its readings suddenly become unlikely, as after being carried away.
     least_particles : int, optional

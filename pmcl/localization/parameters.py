@@ -90,7 +90,19 @@ def choose_theta(
 
 
 def default_draws(options: FilterOptions, available: int) -> tuple[int, int]:
-    """Return how many draws K to work with and how many per reading, given how many there are.
+    """Return how many draws to work with, and over how many each reading is averaged.
+
+    Parameters
+    ----------
+    options : FilterOptions
+        What was asked for; None there means the default.
+    available : int
+        Number of draws in the posterior.
+
+    Returns
+    -------
+    draws, draws_per_reading : int
+        Both at most `available`.
 
     Raises
     ------

@@ -70,7 +70,22 @@ def prepare(
     particles: int,
     options: FilterOptions | None,
 ) -> Prepared:
-    """Make the filter for one log; parameters and errors as for :func:`pmcl.localization.offline.localize`."""
+    """Make the filter for one log.
+
+    Parameters
+    ----------
+    log, model, posterior, method, theta, particles, options
+        As for :func:`pmcl.localization.offline.localize`.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    PmclError
+        As :func:`pmcl.localization.offline.localize` does.
+    """
     check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     if model is not None:
         check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
@@ -107,6 +122,18 @@ def _with_path(
 
 def anywhere(log: RobotLog, start: Any) -> Any:
     """Return the start belief of a robot that may be anywhere on the log's map, with which recovery looks for it.
+
+    Parameters
+    ----------
+    log : RobotLog
+        Its map tells where a robot can be.
+    start : NamedTuple
+        The model's own start table, whose components beyond the pose are kept.
+
+    Returns
+    -------
+    NamedTuple
+        A start table.
 
     Raises
     ------

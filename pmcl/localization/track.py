@@ -127,6 +127,19 @@ def make_track(prepared: Prepared, beliefs: Beliefs, settings: dict[str, Any]) -
 
     States of a model that are no poses keep their own number of components; of those that are more than a pose, the
     pose is kept.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The filter and its log.
+    beliefs : Beliefs
+        What it returned for the T rows of the log.
+    settings : dict
+        Attributes of the track: how it was made.
+
+    Returns
+    -------
+    Track
     """
     log = prepared.log
     size = min(beliefs.mean.shape[1], 3)

@@ -40,6 +40,14 @@ class Finding:
 
 
 def warn_of(findings: Iterable[Finding], where: str) -> None:
-    """Log each finding as a warning of logger ``pmcl.preflight``; `where` is the file or call of the log."""
+    """Write each finding as a warning to the logger ``pmcl.preflight``.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+        What was found.
+    where : str
+        File or call that the log came from.
+    """
     for finding in findings:
         _logger.warning("warning: %s: %s (%s)", where, finding.message, finding.name)

@@ -44,7 +44,20 @@ class Sightings(NamedTuple):
 
 
 def regular_times(first: float, last: float, period: float) -> Float:
-    """Sample times ``first, first + period, ...`` up to `last` [s], shape (T,); none when `last` is before `first`."""
+    """Return regular sample times.
+
+    Parameters
+    ----------
+    first, last : float
+        First and greatest time [s].
+    period : float
+        Time between samples [s].
+
+    Returns
+    -------
+    ndarray, shape (T,)
+        ``first, first + period, ...`` up to `last`; empty when `last` is before `first`.
+    """
     # A thousandth of a period forgives rounding in a last time that is meant to be on the grid.
     count = int(np.floor((last - first) / period + 1e-3)) + 1
     return first + period * np.arange(max(count, 0), dtype=np.float64)
@@ -97,7 +110,22 @@ def hold_and_integrate(
 
 
 def nearest_sample(reading_times: Float, times: Float, max_offset: float) -> Int:
-    """Index of the sample nearest in time to each reading, shape (R,); -1 when more than `max_offset` [s] away."""
+    """Return the sample nearest in time to each reading.
+
+    Parameters
+    ----------
+    reading_times : ndarray, shape (R,)
+        When each reading was taken [s].
+    times : ndarray, shape (T,)
+        Strictly increasing sample times [s].
+    max_offset : float
+        Readings further from every sample belong to none [s].
+
+    Returns
+    -------
+    ndarray of int, shape (R,)
+        Index of a sample; -1 for none.
+    """
     right = np.minimum(np.searchsorted(times, reading_times), len(times) - 1)
     left = np.maximum(right - 1, 0)
     index = np.where(reading_times - times[left] <= times[right] - reading_times, left, right)

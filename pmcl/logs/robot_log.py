@@ -56,7 +56,24 @@ class RobotLog(LogArrays):
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset, where: str = "dataset") -> RobotLog:
-        """Validate a dataset in the file format; `where` names it in messages."""
+        """Validate a dataset in the file format.
+
+        Parameters
+        ----------
+        dataset : xarray.Dataset
+            A log in the file format.
+        where : str
+            What it is called in messages.
+
+        Returns
+        -------
+        RobotLog
+
+        Raises
+        ------
+        LogError, MapError
+            When it does not follow the format.
+        """
         return cls(dataset, where)
 
     @classmethod
@@ -64,6 +81,17 @@ class RobotLog(LogArrays):
         """Take a dataset as it is: one that was made from a validated one, with values that are valid by their making.
 
         Simulations of a log are made by the hundred, and checking them all would take longer than making them.
+
+        Parameters
+        ----------
+        dataset : xarray.Dataset
+            A log in the file format, with the types and the order of dimensions of a validated one.
+        where : str
+            What it is called in messages.
+
+        Returns
+        -------
+        RobotLog
         """
         log = object.__new__(cls)
         object.__setattr__(log, "dataset", dataset)

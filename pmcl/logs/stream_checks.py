@@ -16,7 +16,24 @@ Float = NDArray[np.float64]
 
 
 def fail_for_pause(where: str, what: str, time: float, max_pause: float) -> NoReturn:
-    """Raise the error that a stream pauses for too long at `time` [s]."""
+    """Raise the error that a stream pauses for too long.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    what : str
+        The stream, for messages.
+    time : float
+        When the pause begins [s].
+    max_pause : float
+        The longest pause that is allowed [s].
+
+    Raises
+    ------
+    LogError
+        Always.
+    """
     fail(
         where,
         f"expected {what} without a pause of more than {max_pause:g} s, got one at {time:.9g} s: make two logs of it "
@@ -25,7 +42,26 @@ def fail_for_pause(where: str, what: str, time: float, max_pause: float) -> NoRe
 
 
 def numbers(where: str, name: str, value: ArrayLike) -> Float:
-    """Return an array of numbers; anything else is an error."""
+    """Return what was given as an array of numbers.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    name : str
+        The argument, for messages.
+    value : array_like
+        What was given.
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    LogError
+        When it holds something else.
+    """
     try:
         return as_numbers(value)
     except TypeError as problem:
@@ -33,7 +69,26 @@ def numbers(where: str, name: str, value: ArrayLike) -> Float:
 
 
 def vector(where: str, name: str, value: ArrayLike) -> Float:
-    """Return finite numbers of shape (N,)."""
+    """Return what was given as one axis of finite numbers.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    name : str
+        The argument, for messages.
+    value : array_like
+        What was given.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+
+    Raises
+    ------
+    LogError
+        When the shape is another, or a number is not finite.
+    """
     array = numbers(where, name, value)
     if array.ndim != 1:
         fail(where, f"expected '{name}' of shape (N,), got {array.shape}: reshape it")
@@ -42,7 +97,29 @@ def vector(where: str, name: str, value: ArrayLike) -> Float:
 
 
 def table_of(where: str, name: str, value: ArrayLike, columns: int) -> Float:
-    """Return finite numbers of shape (N, columns), N >= 1."""
+    """Return what was given as a table of finite numbers.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    name : str
+        The argument, for messages.
+    value : array_like
+        What was given.
+    columns : int
+        Number of columns.
+
+    Returns
+    -------
+    ndarray, shape (N, columns)
+        N >= 1.
+
+    Raises
+    ------
+    LogError
+        When the shape is another, or a number is not finite.
+    """
     array = numbers(where, name, value)
     if array.ndim != 2 or array.shape[1] != columns or not len(array):
         fail(where, f"expected '{name}' of shape (N, {columns}) with N >= 1, got {array.shape}: reshape it")
@@ -51,7 +128,27 @@ def table_of(where: str, name: str, value: ArrayLike, columns: int) -> Float:
 
 
 def clock_of(where: str, name: str, value: ArrayLike) -> Float:
-    """Return finite, strictly increasing times [s] of shape (N,), N >= 1."""
+    """Return what was given as strictly increasing times.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    name : str
+        The argument, for messages.
+    value : array_like
+        What was given.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Times [s], N >= 1.
+
+    Raises
+    ------
+    LogError
+        When there is none, one is not finite, or they do not increase.
+    """
     times = vector(where, name, value)
     if not times.size:
         fail(where, f"expected times [s] in '{name}', got none: check the recording")
@@ -67,7 +164,22 @@ def clock_of(where: str, name: str, value: ArrayLike) -> Float:
 
 
 def require_finite(where: str, name: str, array: Float) -> None:
-    """Check that every number is finite."""
+    """Check that every number is finite.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    name : str
+        The argument, for messages.
+    array : ndarray
+        The numbers.
+
+    Raises
+    ------
+    LogError
+        With the first number that is not, and its place.
+    """
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         at = tuple(int(i) for i in bad[0])
@@ -75,6 +187,21 @@ def require_finite(where: str, name: str, array: Float) -> None:
 
 
 def require_same_length(where: str, first: str, a: Any, second: str, b: Any) -> None:
-    """Check that two columns of one stream have the same length."""
+    """Check that two columns of one stream have the same length.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    first, second : str
+        The arguments, for messages.
+    a, b : sequence
+        What was given.
+
+    Raises
+    ------
+    LogError
+        When their lengths differ.
+    """
     if len(a) != len(b):
         fail(where, f"expected '{first}' and '{second}' of the same length, got {len(a)} and {len(b)}: give both whole")

@@ -29,7 +29,20 @@ ONE_TURN = 2.0 * math.pi + 0.01
 
 
 def fail(where: str, message: str) -> NoReturn:
-    """Raise a :class:`~pmcl.errors.LogError` of one line that begins with the place."""
+    """Raise a :class:`~pmcl.errors.LogError` of one line that begins with the place.
+
+    Parameters
+    ----------
+    where : str
+        File or call, for messages.
+    message : str
+        What was expected, what came, and what to do.
+
+    Raises
+    ------
+    LogError
+        Always.
+    """
     raise LogError(" ".join(f"{where}: {message}".split()))
 
 

@@ -72,7 +72,26 @@ def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
 
 
 def model_of_text(text: str, log: RobotLog, where: str = "model") -> RobotModel:
-    """Undo :func:`pmcl.models.model_text.model_text`; see :func:`read_model`. `where` names the text in messages."""
+    """Undo :func:`pmcl.models.model_text.model_text`.
+
+    Parameters
+    ----------
+    text : str
+        A model file's text.
+    log : RobotLog
+        Decides what the text leaves open.
+    where : str
+        What the text is called in messages.
+
+    Returns
+    -------
+    RobotModel
+
+    Raises
+    ------
+    ModelError
+        As for :func:`read_model`.
+    """
     return _model(where, _parsed(where, text), log)
 
 

@@ -21,9 +21,57 @@ __all__ = [
 
 Float = NDArray[np.float64]
 
-# Families whose log density compiled code knows, by scipy name. The number is the code in PriorTable.family.
-FAMILIES = {"norm": 0, "gamma": 1, "lognorm": 2, "uniform": 3, "beta": 4, "halfnorm": 5, "expon": 6, "invgamma": 7}
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+class _Family(NamedTuple):
+    """A family of priors whose log density needs no scipy, with y = (x - loc) / scale and shapes a and b.
+
+    The log density is ``constant(a, b) - log(scale) + of_y(y, a, b)``.
+
+    Attributes
+    ----------
+    support : tuple of float
+        Between which numbers y lies.
+    constant, of_y : callable
+        Its two terms.
+    """
+
+    support: tuple[float, float]
+    constant: Callable[[float, float], float]
+    of_y: Callable[[float, float, float], float]
+
+
+_ABOVE_0, _ANY, _0_TO_1 = (0.0, math.inf), (-math.inf, math.inf), (0.0, 1.0)
+
+# By scipy name. Shapes that a family does not allow give NaN, as in scipy.
+_FAMILIES: dict[str, _Family] = {
+    "norm": _Family(_ANY, lambda a, b: -_HALF_LOG_2PI, lambda y, a, b: -0.5 * y * y),
+    "gamma": _Family(
+        _ABOVE_0, lambda a, b: -math.lgamma(a) if a > 0 else math.nan, lambda y, a, b: (a - 1.0) * math.log(y) - y
+    ),
+    "lognorm": _Family(
+        _ABOVE_0,
+        lambda a, b: -_HALF_LOG_2PI - math.log(a) if a > 0 else math.nan,
+        lambda y, a, b: -math.log(y) - 0.5 * (math.log(y) / a) ** 2,
+    ),
+    "uniform": _Family(_0_TO_1, lambda a, b: 0.0, lambda y, a, b: 0.0),
+    "beta": _Family(
+        _0_TO_1,
+        lambda a, b: math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) if min(a, b) > 0 else math.nan,
+        lambda y, a, b: (a - 1.0) * math.log(y) + (b - 1.0) * math.log1p(-y),
+    ),
+    "halfnorm": _Family(_ABOVE_0, lambda a, b: 0.5 * math.log(2.0 / math.pi), lambda y, a, b: -0.5 * y * y),
+    "expon": _Family(_ABOVE_0, lambda a, b: 0.0, lambda y, a, b: -y),
+    "invgamma": _Family(
+        _ABOVE_0,
+        lambda a, b: -math.lgamma(a) if a > 0 else math.nan,
+        lambda y, a, b: -(a + 1.0) * math.log(y) - 1.0 / y,
+    ),
+}
+
+FAMILIES = {name: code for code, name in enumerate(_FAMILIES)}
+"""Number of each family in :attr:`PriorTable.family`; compiled code (``log_prior`` of the Metropolis kernels) knows it."""
 
 
 ROLES: dict[str, str] = {
@@ -95,7 +143,19 @@ class PriorTable(NamedTuple):
 
 
 def gamma_prior(mean: float, shape: float = 2.0) -> Any:
-    """Return the gamma distribution with this mean; shape 2 keeps clear of zero and has a long tail."""
+    """Return the gamma distribution with a given mean.
+
+    Parameters
+    ----------
+    mean : float
+        Mean, in the parameter's unit.
+    shape : float
+        Shape; at 2 the density is zero at zero and has a long tail.
+
+    Returns
+    -------
+    scipy.stats frozen distribution
+    """
     return stats.gamma(shape, scale=mean / shape)
 
 
@@ -113,16 +173,7 @@ def _numbers(prior: Any) -> tuple[int, float, float, float, float, float] | None
     shapes, loc, scale = prior.dist._parse_args(*prior.args, **prior.kwds)
     a = float(shapes[0]) if len(shapes) > 0 else 0.0
     b = float(shapes[1]) if len(shapes) > 1 else 0.0
-    constant = {
-        "norm": -_HALF_LOG_2PI,
-        "gamma": -math.lgamma(a) if a > 0 else math.nan,
-        "lognorm": -_HALF_LOG_2PI - math.log(a) if a > 0 else math.nan,
-        "uniform": 0.0,
-        "beta": math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) if min(a, b) > 0 else math.nan,
-        "halfnorm": 0.5 * math.log(2.0 / math.pi),
-        "expon": 0.0,
-        "invgamma": -math.lgamma(a) if a > 0 else math.nan,
-    }[name]
+    constant = _FAMILIES[name].constant(a, b)
     return FAMILIES[name], a, b, float(loc), float(scale), constant - math.log(scale)
 
 
@@ -137,7 +188,20 @@ def prior_table(parameters: Sequence[Parameter]) -> PriorTable | None:
 
 
 def prior_rows(table: PriorTable, rows: NDArray[np.int64]) -> PriorTable:
-    """Return the priors of some parameters, by their positions."""
+    """Return the priors of some parameters.
+
+    Parameters
+    ----------
+    table : PriorTable
+        Priors of d parameters.
+    rows : ndarray of int, shape (k,)
+        Positions of some of them.
+
+    Returns
+    -------
+    PriorTable
+        Of these k.
+    """
     shape_a, shape_b, loc, scale, constant = (column[rows] for column in table[1:])
     return PriorTable(table.family[rows], shape_a, shape_b, loc, scale, constant)
 
@@ -169,28 +233,12 @@ def _log_density(prior: Any) -> Callable[[float], float]:
             return -math.inf if math.isnan(value) else value
 
         return from_scipy
-    family, a, b, loc, scale, constant = numbers
+    code, a, b, loc, scale, constant = numbers
     # Looked up once: this is called for each parameter at every proposal.
-    bounded, formula = family in _BOUNDED, _FORMULAS.get(family)
+    (low, high), _, of_y = list(_FAMILIES.values())[code]
 
     def known(x: float) -> float:
         y = (x - loc) / scale
-        if formula is None:  # a normal
-            return constant - 0.5 * y * y
-        if not y > 0.0 or (bounded and y >= 1.0):
-            return -math.inf
-        return constant + formula(y, a, b)
+        return constant + of_y(y, a, b) if low < y < high else -math.inf
 
     return known
-
-
-_BOUNDED = (FAMILIES["uniform"], FAMILIES["beta"])
-_FORMULAS: dict[int, Callable[[float, float, float], float]] = {
-    FAMILIES["gamma"]: lambda y, a, b: (a - 1.0) * math.log(y) - y,
-    FAMILIES["lognorm"]: lambda y, a, b: -math.log(y) - 0.5 * (math.log(y) / a) ** 2,
-    FAMILIES["uniform"]: lambda y, a, b: 0.0,
-    FAMILIES["beta"]: lambda y, a, b: (a - 1.0) * math.log(y) + (b - 1.0) * math.log1p(-y),
-    FAMILIES["halfnorm"]: lambda y, a, b: -0.5 * y * y,
-    FAMILIES["expon"]: lambda y, a, b: -y,
-    FAMILIES["invgamma"]: lambda y, a, b: -(a + 1.0) * math.log(y) - 1.0 / y,
-}

@@ -67,6 +67,18 @@ def prior_from_table(where: str, parameter: Parameter, table: Any) -> Any:
 def prior_to_table(name: str, prior: Any) -> dict[str, str | int | float]:
     """Undo :func:`prior_from_table`.
 
+    Parameters
+    ----------
+    name : str
+        The parameter, for messages.
+    prior : scipy.stats frozen distribution
+        Its prior.
+
+    Returns
+    -------
+    dict of str to str or number
+        ``distribution`` and the arguments by their scipy names.
+
     Raises
     ------
     ModelError

@@ -204,6 +204,13 @@ class Sensor(SensorVariables):
     def store(cls, table: Any, dataset: xr.Dataset) -> None:
         """Write the readings of a table into a log's dataset, in place.
 
+        Parameters
+        ----------
+        table : NamedTuple
+            A table with the readings, e.g. from :meth:`simulate`.
+        dataset : xarray.Dataset
+            Of the log that the table was made from; its arrays can be written.
+
         Raises
         ------
         ModelError
@@ -254,7 +261,18 @@ class Sensor(SensorVariables):
 
     @staticmethod
     def parts_that_differ(table: Any, other: Any) -> tuple[Any, Any]:
-        """Return two tables without the channels in which they are the same, so that comparing them costs less."""
+        """Return two tables without the channels in which they are the same, so that comparing them costs less.
+
+        Parameters
+        ----------
+        table, other : NamedTuple
+            Tables of the sensor, with equal readings.
+
+        Returns
+        -------
+        tuple of two NamedTuples, or of None and None where they are the same
+            By default the tables as they are.
+        """
         return table, other
 
     @staticmethod
@@ -278,7 +296,20 @@ class Sensor(SensorVariables):
 
     @staticmethod
     def scoring_calls(table: Any, columns: Float) -> list[tuple[Any, tuple[Any, ...]]]:
-        """Return the compiled functions and arguments that the object of :meth:`score_cache` calls, to compile them."""
+        """Return the compiled functions and arguments that the object of :meth:`score_cache` calls, to compile them.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        columns : ndarray, shape (M, D, T)
+            Trajectories.
+
+        Returns
+        -------
+        list of (function, arguments)
+            By default empty.
+        """
         return []
 
     @staticmethod
@@ -286,6 +317,17 @@ class Sensor(SensorVariables):
         """Return what each slot of a table is, in the order of its kernel ``reading_slots``.
 
         By default there is one slot for each row, named after the table.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        n_steps : int
+            Rows of the log that count, from the first on.
+
+        Returns
+        -------
+        ReadingIndex
         """
         rows = np.arange(n_steps, dtype=np.int64)
         nothing = np.zeros(n_steps, dtype=np.int64)

@@ -38,7 +38,20 @@ class _Histogram:
 
 
 def evidence_of_no_relation(log: LogArrays, stretch: Stretch) -> Float:
-    """Return the log evidence of each row's readings given those before [nat], shape (K,)."""
+    """Return how well readings are explained without the map.
+
+    Parameters
+    ----------
+    log : LogArrays
+        The log.
+    stretch : Stretch
+        The K rows that are looked at.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+        Log evidence of each row's readings given those before [nat].
+    """
     landmarks = (
         ("range", log.landmark_range, 0.0),
         ("bearing", log.landmark_bearing, -math.pi),

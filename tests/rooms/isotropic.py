@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl import Parameter, RobotLog
+from pmcl import Parameter, RobotLog, engine
 from pmcl.models import BoundPart, IncrementNoise, Motion, gamma_prior
 
 Float = NDArray[np.float64]
@@ -42,9 +42,6 @@ class BoundIsotropicNoise(BoundPart):
 
     def statistics(self, table: Any, path: Float, ideal: Any, index: Any, theta: Float) -> Any:
         alone = self.increments.statistics(table, path, ideal, np.array([-1, -1, -1]), np.ones(3))
-        return alone._replace(
-            slots=np.asarray(index),
-            value=np.array(theta),
-            counts=np.array([2.0 * alone.counts[0], alone.counts[2]]),
-            squares=np.array([alone.squares[:2].sum(), alone.squares[2]]),
-        )
+        counts = np.array([2.0 * alone.counts[0], alone.counts[2]])
+        squares = np.array([alone.squares[:2].sum(), alone.squares[2]])
+        return engine.GaussianSums(index, np.array(theta), counts, squares)

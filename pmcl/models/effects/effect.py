@@ -196,6 +196,17 @@ class Effect:
     def at(self, where: Where, log: RobotLog) -> Effect:
         """Return the instance at one place.
 
+        Parameters
+        ----------
+        where : mapping of str to sequence of float
+            The place, e.g. ``{"beams": [2]}``.
+        log : RobotLog
+            It must have the place.
+
+        Returns
+        -------
+        Effect
+
         Raises
         ------
         ModelError

@@ -89,7 +89,20 @@ def parse_effect(text: str, log: RobotLog, rng: np.random.Generator) -> tuple[Ef
 
 
 def check_values(effect: Effect, values: Float) -> None:
-    """Raise ModelError unless every value lies within its prior."""
+    """Check that every value lies within its prior.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    values : ndarray, shape (k,)
+        Of its parameters.
+
+    Raises
+    ------
+    ModelError
+        With the first value outside its prior.
+    """
     for parameter, value in zip(effect.parameters, values, strict=True):
         low, high = prior_support(parameter.prior)
         if not low <= value <= high:
