@@ -113,8 +113,8 @@ def criticize(
     )  # fmt: skip
     if posterior and not joint:
         raise CriticismError(
-            "expected full chains for a posterior, but joint=False switches them off; leave joint at True, or ask for no "
-            "posterior"
+            "expected full chains for a posterior, but joint=False switches them off; leave joint at True, or ask "
+            "for no posterior"
         )
     log = log.without_truth()
     _check(log)
