@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from scipy import integrate, stats
 from pmcl.errors import LogError, MapError, ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
+from pmcl.models.effects import CATALOGUE
 from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise, increment_residuals
 from pmcl.models.parameters import FAMILIES, Parameter, gamma_prior, log_prior_function, prior_table
+from pmcl.models.prior_file import prior_from_table
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
@@ -192,3 +195,59 @@ def test_open_walls_put_the_start_in_their_box(log):
     table = StartBelief((0.0, 0.0, 0.0), (INF, INF, INF)).bind(some).table(np.empty(0))
     assert table.segments.shape[0] == 0
     assert table.log_density == pytest.approx(-math.log(3.0 * 2.0 * 2.0 * math.pi))
+
+
+ROLES = [
+    # role, a value that it excludes or None, what its prior must not be, and what is said of it
+    ("noise", 0.0, "norm", "numbers >= 0"),
+    ("noise growth", None, "norm", "numbers >= 0"),
+    ("weight", None, "expon", r"numbers in \[0, 1\]"),
+    ("other", None, None, ""),
+]
+
+
+@dataclass(frozen=True)
+class Ranging(RangeNoise):
+    """Range beams whose parameter may have any role."""
+
+    role: str = "other"
+
+    @property
+    def parameters(self):
+        return (Parameter("spread", "m", stats.halfnorm(), "noise of a reading", self.role),)
+
+
+@pytest.mark.parametrize(("role", "excluded", "prior", "message"), ROLES)
+def test_the_role_of_a_parameter_decides_its_values(role, excluded, prior, message):
+    (parameter,) = Ranging(role=role).parameters
+    for value in (0.0, 0.3):
+        if value == excluded:
+            with pytest.raises(ModelError, match="spread is fixed at 0: without noise"):
+                RobotModel(sensors=(Ranging(role=role),), fixed={"spread": value})
+        else:
+            assert RobotModel(sensors=(Ranging(role=role),), fixed={"spread": value}).fixed == {"spread": value}
+    for name in ("norm", "expon", "uniform"):
+        if name == prior:
+            with pytest.raises(ModelError, match=message):
+                prior_from_table("model.toml", parameter, {"distribution": name})
+        elif role != "weight" or name == "uniform":
+            assert prior_from_table("model.toml", parameter, {"distribution": name}).dist.name == name
+
+
+def test_unknown_roles_are_refused():
+    with pytest.raises(ModelError, match="the role of spread"):
+        Parameter("spread", "m", stats.halfnorm(), role="noisy")
+
+
+def test_parameters_of_pmcl_have_the_roles_of_their_names(log):
+    """Whatever a name says of a standard deviation or a weight, the role says, too."""
+    field = simulate_landmark_field(5, bearings=True)
+    models = [default_model(each, outliers=True) for each in (log, field)] + [RobotModel(GrowingIncrementNoise())]
+    parameters = [p for model in models for p in model.parameters]
+    parameters += [parameter for effect in CATALOGUE for parameter in effect.parameters]
+    assert len(parameters) > 60
+    for parameter in parameters:
+        if parameter.name.startswith("sigma_"):
+            assert parameter.role == ("noise growth" if "_per_" in parameter.name else "noise"), parameter.name
+        else:
+            assert (parameter.role == "weight") == parameter.name.endswith("_weight"), parameter.name
