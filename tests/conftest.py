@@ -9,8 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pmcl import registry
+
 # Tests already run on all processors; no test gets a second process that compiles for it, unless it asks.
 os.environ.setdefault("PMCL_COMPILE_AHEAD", "0")
+
+
+@pytest.fixture(autouse=True)
+def only_own_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test sees sensors, motions and effects that another test, or an example that it imports, has registered."""
+    for group in (registry.SENSORS, registry.MOTIONS, registry.EFFECTS):
+        monkeypatch.setitem(registry._added, group, {})
 
 
 @pytest.fixture

@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from pmcl import registry
 from pmcl.cli.commands import pmcl as application
 from pmcl.examples import apriltags, example_names, example_text, own_robot, own_sensor
 from pmcl.geometry import wrap
+
+
+@pytest.fixture(autouse=True)
+def own_sensor_registered(only_own_parts):
+    """The sensor of the example, as its import leaves it."""
+    registry.register(registry.SENSORS, "compass", own_sensor.Compass)
 
 
 def run(*arguments):
@@ -69,7 +76,7 @@ def exact_compass_noise():
 
     A grid over both standard deviations. Distances to landmarks tell next to nothing more about the heading.
     """
-    log, prior = own_sensor.record(), own_sensor.Compass().parameters[0].prior
+    log, prior = own_sensor.record(), own_sensor.Compass.parameters[0].prior
     reading, turn = log.dataset["compass"].values, log.odometry[:, 2]
     sigma_turn, sigma = np.meshgrid(np.linspace(0.005, 0.07, 60), np.linspace(0.02, 0.08, 80), indexing="ij")
     mean, variance, logp = log.start_mean[2], np.full(sigma.shape, log.start_std[2] ** 2), prior.logpdf(sigma)

@@ -39,15 +39,11 @@ MODEL = RobotModel(sensors=(Compass(),), fixed=KNOWN, effects=(COMPASS_OFFSET,))
 
 
 @pytest.fixture(autouse=True)
-def added():
+def added(only_own_parts):
     """Register the sensor, the motion and the effect as a script does, for each test."""
-    before = {group: dict(held) for group, held in registry._added.items()}
     register_sensor("compass")(Compass)
     register_motion("isotropic")(isotropic.IsotropicNoise)
     registry.register(EFFECTS, "compass-offset", COMPASS_OFFSET)
-    yield
-    for group, held in before.items():
-        registry._added[group] = held
 
 
 def compass_log(offset=0.0, seed=1, rows=150):
@@ -70,12 +66,10 @@ def compass_log(offset=0.0, seed=1, rows=150):
 @pytest.fixture(scope="module")
 def calibrated():
     """The posterior of a robot whose compass is off, effect included."""
-    before = dict(registry._added[SENSORS]), dict(registry._added[EFFECTS])
-    register_sensor("compass")(Compass)
-    registry.register(EFFECTS, "compass-offset", COMPASS_OFFSET)
-    data = pmcl.calibrate(compass_log(OFFSET), MODEL, draws=1000, chains=2, seed=3)
-    registry._added[SENSORS], registry._added[EFFECTS] = before
-    return data
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(registry._added, SENSORS, {"compass": Compass})
+        patch.setitem(registry._added, EFFECTS, {"compass-offset": COMPASS_OFFSET})
+        return pmcl.calibrate(compass_log(OFFSET), MODEL, draws=1000, chains=2, seed=3)
 
 
 def test_the_modules_use_public_names_only():
