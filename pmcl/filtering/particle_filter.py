@@ -68,7 +68,22 @@ class FilterPass:
 
 
 def raise_outcome(status: int, t: int, what: str) -> None:
-    """Raise the FilterError that the outcome of a compiled pass stands for, if it stands for one."""
+    """Raise a FilterError when a compiled pass ended early.
+
+    Parameters
+    ----------
+    status : int
+        Outcome of the pass, one of the constants of :mod:`pmcl.filtering.kernels.smc`.
+    t : int
+        The row at which it ended.
+    what : str
+        Name of the algorithm, with which the message begins.
+
+    Raises
+    ------
+    FilterError
+        When every particle had weight zero, a density was not a number, or no particle could be an ancestor.
+    """
     if status == smc.ALL_ZERO:
         raise FilterError(
             f"{what}: at row {t} every particle has weight zero, so the filter has lost the robot; "
@@ -144,6 +159,21 @@ def draw_paths(tables: Tables, filtered: FilterPass, n_paths: int, rng: np.rando
 
     Each has the law of backward sampling; where few particles could have been the ancestor, trajectories of one pass
     have more states in common than independent draws would. Cost: O(T) for each path.
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients of the model for this log.
+    filtered : FilterPass
+        The filter pass.
+    n_paths : int
+        Number of trajectories.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray, shape (n_paths, T, D)
 
     Raises
     ------

@@ -112,7 +112,21 @@ class Checkpoint:
     def backend(self, name: str, steps: int, window: int, keep_every: int) -> StageBackend:
         """Return the backend of a stage, with the steps that the file holds of it.
 
-        Stages must be asked for in their order.
+        Parameters
+        ----------
+        name : str
+            Name of the stage. Stages must be asked for in their order.
+        steps, window, keep_every : int
+            See :class:`~pmcl.sampling.backends.StageBackend`.
+
+        Returns
+        -------
+        StageBackend
+
+        Raises
+        ------
+        SamplingError
+            When the file is damaged.
         """
         backend = StageBackend(steps, window, keep_every)
         self._stages[name] = backend

@@ -78,7 +78,19 @@ class WalkerThreads:
 def walker_pool(pool: Any, n_walkers: int, check: Callable[[], None] | None = None) -> Iterator[Any]:
     """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock.
 
-    `check` is called before each walker's part of a step, in threads only: it may raise.
+    Parameters
+    ----------
+    pool : object with a `map` method, optional
+        The caller's own pool.
+    n_walkers : int
+        Number of walkers; there are not more threads than walkers.
+    check : callable, optional
+        Called before each walker's part of a step, in threads only: it may raise.
+
+    Yields
+    ------
+    object with a `map` method, or None
+        None when there is one processor and nothing to check.
     """
     if pool is not None:
         yield pool

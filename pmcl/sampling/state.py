@@ -115,7 +115,21 @@ def blob_dtype(bound: BoundModel, size: int) -> np.dtype[Any]:
 
 
 def into_blob(state: ChainState, info: SweepInfo, dtype: np.dtype[Any]) -> Any:
-    """Return state and info as one structured record of a dtype that :func:`blob_dtype` made."""
+    """Return state and report as one structured record.
+
+    Parameters
+    ----------
+    state : ChainState
+        The state of a chain.
+    info : SweepInfo
+        The report of its last step.
+    dtype : numpy.dtype
+        As :func:`blob_dtype` returns it.
+
+    Returns
+    -------
+    numpy.ndarray, shape ()
+    """
     record = np.zeros((), dtype=dtype)
     for part in (state, info):
         for name in part._fields:

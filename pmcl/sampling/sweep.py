@@ -69,7 +69,22 @@ class SweepSettings:
 
 
 def included(bound: BoundModel, path: Float, rows: int) -> list[Float]:
-    """Return views of the first `rows` states of each log's trajectory in the stacked `path` (sum of T_l, D)."""
+    """Return the first states of each log's trajectory.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    path : ndarray, shape (sum of T_l, D)
+        Trajectories of all logs, one after the other.
+    rows : int
+        How many states of each log, or all where a log has fewer.
+
+    Returns
+    -------
+    list of ndarray, shape (min(T_l, rows), D)
+        Views into `path`.
+    """
     paths, begin = [], 0
     for length in bound.lengths:
         paths.append(path[begin : begin + min(length, rows)])

@@ -177,6 +177,8 @@ def _other(what):
         )
     elif what == "setting":
         method = replace(SHORT, particles=9)
+    elif what == "method":
+        method, changes = Ensemble(particles=8, burn_in=4), {"chains": 6}
     elif what == "chains":
         changes = {"chains": 4}
     elif what == "seed":
@@ -191,7 +193,7 @@ def finished(rail, tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("what", ["log", "model", "prior", "setting", "chains", "seed"])
+@pytest.mark.parametrize("what", ["log", "model", "prior", "method", "setting", "chains", "seed"])
 def test_another_run_is_refused(what, finished):
     bound, method, changes = _other(what)
     with pytest.raises(SamplingError, match="the checkpoint belongs to another run") as caught:
