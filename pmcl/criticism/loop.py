@@ -241,7 +241,7 @@ class Loop:
         return self.search.judge(quick_fit(bound, seed, theta=fit.theta, path=last.fit.path, draws=fit.draws))
 
     def _without_spare(self, accepted: Trial) -> Trial:
-        """Remove earlier effects that only stood for the newest one."""
+        """Remove earlier effects that the newest one makes unnecessary."""
         n_base = len(self.base.effects)
         refits = self.search.refits
         trial, dropped = spare_effects(

@@ -46,7 +46,7 @@ _PARAMETER_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] =
         "Parameters against each other",
         plot_pair,
         "Below the diagonal: draws, coloured by chain. Above it: the regions where most draws lie, and the correlation "
-        "r. A long slanting region means that the log tells a combination of two parameters better than each of them.",
+        "r. A long slanting region means that the log determines a combination of two parameters better than each.",
     ),
 )
 _CHAIN_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] = (
@@ -69,8 +69,8 @@ _CHAIN_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] = (
     (
         "Growth of the effective sample size",
         plot_ess_evolution,
-        "It should grow in proportion to the draws. A line that bends down means that the chains have not yet been "
-        "everywhere.",
+        "It should grow in proportion to the draws. A line that bends down means that the chains have not yet visited "
+        "the whole posterior.",
     ),
 )
 
