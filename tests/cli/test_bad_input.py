@@ -140,7 +140,7 @@ MODELS = {
     "[fixed]\nsigma_left = -1.0": "sigma_left is fixed at -1, outside",
     '[priors.sigma_turn]\ndistribution = "gamma"\nb = 2': "'priors.sigma_turn.b'",
     "kernel = 1": "key 'kernel'",
-    "[sensors.landmarks]": "at least one of range, bearing and size",
+    "[sensors.landmarks]": "the model uses landmark_range, but the log has no such variable",
     "[fixed]\nsigma_left = 1\nsigma_forward = 1\nsigma_turn = 1\nsigma_range = 1": "at least one free parameter",
     "[start]\nmean = [0.9, 0.9, 0]\nstd = [0, 0, 0]": "three positive standard deviations",
 }
