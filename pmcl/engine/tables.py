@@ -6,10 +6,11 @@ A table is a NamedTuple of arrays and numbers. Each of its fields declares its a
         std: Annotated[Float, Axes("beam")]
         extras: NoExtras | MyExtras = NoExtras()
 
-Fields that only effects use stand in the table's ``extras``; the annotation of that field names their types. Kernels are compiled for the type of the extras: with
-:class:`NoExtras` the fast ones, with the table's own type the full ones, some three times slower. An effect does not
-choose: it names the fields that it changes, and :func:`with_fields` adds extras where one of them needs it. Each field
-of the extras declares the neutral value at which the full kernels have the density of the fast ones.
+Fields that only effects use stand in the table's ``extras``, whose annotation names their types. Kernels are compiled
+for the type of the extras: with :class:`NoExtras` the fast ones, with the table's own type the full ones, some three
+times slower. An effect does not choose: it names the fields that it changes, and :func:`with_fields` adds extras where
+one of them needs it. Each field of the extras declares the neutral value at which the full kernels have the density of
+the fast ones.
 """
 
 from __future__ import annotations

@@ -84,9 +84,8 @@ def test_two_walkers_on_two_cores(benchmark, landmarks, n):
     benchmark.extra_info["speed_up"] = 2.0 * one / benchmark.stats["min"]
 
 
-def _with_every_effect(tables):
-    """Tables whose sensor has every component of its mixture."""
-    sensor = tables.sensors[0]
+def _with_every_effect(sensor):
+    """The table with every component of its mixture."""
     rows, channels = axis_sizes(sensor).get("time"), axis_sizes(sensor)
     if "beam" in channels:
         each = np.ones(channels["beam"])
@@ -103,7 +102,7 @@ def _with_every_effect(tables):
             "range_correlation": 0.3 * each, "bearing_correlation": 0.3 * each, "outlier_weight": 0.02 * each,
             "lag": np.full(sensor.first.size - 1, 0.2),
         }  # fmt: skip
-    return tables._replace(sensors=(with_fields(sensor, changes),))
+    return with_fields(sensor, changes)
 
 
 @pytest.mark.parametrize("effects", ["neutral", "every effect"])
@@ -117,8 +116,8 @@ def test_full_kernels_along_a_path_of_landmarks(benchmark, landmarks, effects):
 
 
 def _along_a_path(benchmark, case, effects):
-    tables = case.tables[0]
-    full = _with_every_effect(tables) if effects == "every effect" else tables._replace(sensors=(with_extras(tables.sensors[0]),))
+    (plain,) = case.tables[0].sensors
+    sensor = _with_every_effect(plain) if effects == "every effect" else with_extras(plain)
     columns = np.ascontiguousarray(case.path.T)[None]
-    terms = benchmark(smc.sensor_terms, full.sensors[0], columns)
+    terms = benchmark(smc.sensor_terms, sensor, columns)
     assert np.isfinite(terms).all()

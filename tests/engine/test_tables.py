@@ -45,7 +45,7 @@ OWN = [IncrementMotion, RangeBeams, LandmarkSightings]
 
 def with_all_extras(table):
     """The table with no extras, and with each type of extras that it may have."""
-    return [table, *(with_extras(table, kind) for kind in type(table).extras_types)]
+    return [table, *(with_extras(table, kind) for kind in extras_types(table))]
 
 
 def misfits(table):

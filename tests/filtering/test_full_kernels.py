@@ -52,22 +52,22 @@ def along(table, path):
 def everything(beams, rng):
     """Beams with all effects at once."""
     n_steps, n_beams = beams.reading.shape
-    return with_fields(beams, dict(
-        bias_at=rng.normal(0.0, 0.1, (n_steps, n_beams)),
-        std_factor=rng.uniform(0.5, 2.0, n_steps),
-        growth=rng.uniform(0.0, 0.5, n_beams),
-        tail=0.2,
-        width=rng.uniform(0.0, 0.4, n_beams),
-        short_weight=rng.uniform(0.0, 0.2, n_beams),
-        short_length=0.7,
-        no_echo_weight=rng.uniform(0.0, 0.2, n_beams),
-        specular_weight=rng.uniform(0.0, 0.5, n_beams),
-        specular_angle=0.6,
-        talk_weight=rng.uniform(0.0, 0.3, n_beams),
-        correlation=rng.uniform(-0.3, 0.8, n_beams),
-        lag=rng.uniform(-0.2, 0.6, n_steps),
-        obstacles=np.array([[1.5, 1.0, 0.3, 0.4], [2.5, 0.7, 0.4, 0.6]]),
-    ))
+    return with_fields(beams, {
+        "bias_at": rng.normal(0.0, 0.1, (n_steps, n_beams)),
+        "std_factor": rng.uniform(0.5, 2.0, n_steps),
+        "growth": rng.uniform(0.0, 0.5, n_beams),
+        "tail": 0.2,
+        "width": rng.uniform(0.0, 0.4, n_beams),
+        "short_weight": rng.uniform(0.0, 0.2, n_beams),
+        "short_length": 0.7,
+        "no_echo_weight": rng.uniform(0.0, 0.2, n_beams),
+        "specular_weight": rng.uniform(0.0, 0.5, n_beams),
+        "specular_angle": 0.6,
+        "talk_weight": rng.uniform(0.0, 0.3, n_beams),
+        "correlation": rng.uniform(-0.3, 0.8, n_beams),
+        "lag": rng.uniform(-0.2, 0.6, n_steps),
+        "obstacles": np.array([[1.5, 1.0, 0.3, 0.4], [2.5, 0.7, 0.4, 0.6]]),
+    })
 
 
 ALONE = {
@@ -282,7 +282,7 @@ def step_logpdf(motion, t, before, after):
 def test_transitions_have_the_density_of_their_definition(name, wanders, compiled, rng):
     motion = far_tables(rng, **MOTIONS[name])
     if wanders:
-        motion = with_fields(motion, dict(wander=np.full(6, 0.3), keep=np.full(6, 0.8)))
+        motion = with_fields(motion, {"wander": np.full(6, 0.3), "keep": np.full(6, 0.8)})
     size = 4 if wanders else 3
     before = np.array([0.5, -0.3, 2.0, 0.7])[:size] + rng.normal(0.0, 0.3, (9, size))
     after = before[4] + rng.normal(0.0, 0.3, size)
@@ -308,7 +308,7 @@ def test_motion_at_its_nulls_is_plain(rng):
     expected = smc.motion_terms(start_of(3), plain, columns)[0]
     np.testing.assert_allclose(smc.motion_terms(start_of(3), with_extras(plain), columns)[0], expected, rtol=1e-12)
     # A fourth component that nothing depends on is integrated out to nothing.
-    wandering = with_fields(plain, dict(keep=np.full(6, 0.9)))
+    wandering = with_fields(plain, {"keep": np.full(6, 0.9)})
     np.testing.assert_allclose(smc.motion_terms(start_of(4), wandering, columns)[0], expected, rtol=1e-12)
 
 
@@ -317,7 +317,7 @@ def test_a_wandering_turn_rate_is_integrated_out_exactly(rng):
     n = 12
     plain = made_tables.increment_motion(rng, n)
     keep, wander = rng.uniform(0.6, 0.95, n), rng.uniform(0.1, 0.5, n)
-    motion = with_fields(plain, dict(keep=keep, wander=wander))
+    motion = with_fields(plain, {"keep": keep, "wander": wander})
     path = np.cumsum(rng.normal(0.0, 0.3, (n, 3)), axis=0)
     # u[0] is standard normal; turn t follows u[t - 1].
     covariance_u = np.eye(n)
@@ -339,7 +339,7 @@ def test_a_wandering_turn_rate_is_integrated_out_exactly(rng):
 def test_drawn_steps_have_the_transition_density(name, compiled, rng):
     """Importance weights against the plain motion with wider noise have mean one; and moments agree."""
     n = 40_000 if compiled else 4_000
-    motion = with_fields(far_tables(rng, **MOTIONS[name]), dict(wander=np.full(6, 0.3), keep=np.full(6, 0.8)))
+    motion = with_fields(far_tables(rng, **MOTIONS[name]), {"wander": np.full(6, 0.3), "keep": np.full(6, 0.8)})
     before = np.repeat(np.array([[0.5], [-0.3], [2.2], [0.9]]), n, axis=1)
     current = np.empty((4, n))
     function = compiled_propagate if compiled else contract.propagate
@@ -430,13 +430,13 @@ def errors_before(seen, t, named, before):
 
 def sighting_density(seen, t, before, now):
     """The density of a row of sightings written again from the definition."""
-    seen = FieldView(seen)
+    table, seen = seen, FieldView(seen)
     pose = now - seen.lag[t] * (now - before)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total = 0.0
     for k in range(seen.first[t], seen.first[t + 1]):
         named = seen.landmark[k]
-        error = errors_before(seen, t, named, before)
+        error = errors_before(table, t, named, before)
         known = ~np.isnan(error)
         last = np.where(known, [seen.range_correlation[named], seen.bearing_correlation[named]], 0.0)
         shift, narrower = np.where(known, last * np.nan_to_num(error), 0.0), np.sqrt(1.0 - last**2)
@@ -502,7 +502,7 @@ def test_sightings_at_their_nulls_are_plain(rng):
     seen = made_tables.sightings(6, rng)
     np.testing.assert_allclose(along(with_extras(seen), path), along(seen, path), rtol=1e-9)
     assert not contract.looks_back(with_extras(seen))
-    assert contract.looks_back(with_fields(seen, dict(bearing_correlation=np.array([0.0, 0.0, 0.0, 0.5]))))
+    assert contract.looks_back(with_fields(seen, {"bearing_correlation": np.array([0.0, 0.0, 0.0, 0.5])}))
 
 
 @pytest.mark.parametrize("changes", [{}, {"misread_weight": np.zeros(4)}])

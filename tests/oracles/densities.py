@@ -133,7 +133,7 @@ def _range_density(view, t, b, before, pose):
     detour = stats.uniform(longest - room, room).pdf(z) * (z < longest) if room > 0.1 * longest else float(z >= longest)
     density += weight * (detour - density)
     short = stats.truncexpon(max(min(expected, longest), 0.01) / view.short_length, scale=view.short_length)
-    density += view.short_weight[b] * ((short.pdf(z) if z > 0.0 else 0.0) - density)
+    density += view.short_weight[b] * ((short.pdf(z) if 0.0 < z < longest else 0.0) - density)
     density += view.no_echo_weight[b] * (float(z >= longest) - density)
     return density + view.outlier_weight[b] * ((1.0 / longest if 0.0 < z < longest else 0.0) - density)
 
