@@ -14,6 +14,7 @@ from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
     from pmcl.localization.many import localize_many
+    from pmcl.localization.metrics import pose_errors, relative_errors, relative_errors_by_distance
     from pmcl.localization.offline import localize
     from pmcl.localization.online import OnlineLocalizer, PoseEstimate
     from pmcl.localization.options import FilterOptions
@@ -26,6 +27,9 @@ __all__ = [
     "Track",
     "localize",
     "localize_many",
+    "pose_errors",
+    "relative_errors",
+    "relative_errors_by_distance",
 ]
 
 _HOMES = {
@@ -35,6 +39,9 @@ _HOMES = {
     "Track": "pmcl.localization.track",
     "localize": "pmcl.localization.offline",
     "localize_many": "pmcl.localization.many",
+    "pose_errors": "pmcl.localization.metrics",
+    "relative_errors": "pmcl.localization.metrics",
+    "relative_errors_by_distance": "pmcl.localization.metrics",
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -11,7 +11,9 @@ from oracles.amigobot_model import THETA, amigobot_log, tight_model
 from oracles.monte_carlo import TOLERANCE, assert_agrees, off_by
 from oracles.random_walk_model import rail_log, rail_model
 
-from pmcl.filtering.kernels.linear import carry, factorise, refresh_blocks, transport_trial
+from pmcl.engine.compile import entry
+from pmcl.filtering.kernels import linear
+from pmcl.filtering.kernels.linear import Factors, factorise, refresh_blocks, transport_trial
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
@@ -21,6 +23,15 @@ def _linearised(bound, theta, reference):
     transport = linearised_at(bound, theta, [reference], Proposal(0.1 * np.eye(bound.dimension)))
     assert transport is not None
     return transport
+
+
+@entry
+def carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
+    """The path (T, D) that has the same z under the new factorisation as `path` has under the old one."""
+    out, size = np.empty_like(path), path.shape[1]
+    old, new = Factors(factor, gain, centre), Factors(new_factor, new_gain, new_centre)
+    linear.carry(motion, path, reference, old, new, out, np.empty(size), size)
+    return out
 
 
 def _factors(bound, theta, transport):

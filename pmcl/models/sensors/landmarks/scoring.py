@@ -18,7 +18,7 @@ def sightings_that_differ(
     first, second = same_extras(table, other)
     differ = channels_that_differ(first, second, "landmark")
     # A sighting that may be of any landmark cannot be judged without the others.
-    misread = any((field_of(one, "misread_weight") > 0.0).any() for one in (first, second))
+    misread = any((field_of(each, "misread_weight") > 0.0).any() for each in (first, second))
     if differ is None or differ.all() or misread:
         return table, other
     return _some_sightings(first, differ), _some_sightings(second, differ)

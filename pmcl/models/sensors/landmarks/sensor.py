@@ -102,12 +102,12 @@ class LandmarkNoise(LandmarkVariables, Sensor):
 
     def bind(self, log: RobotLog) -> BoundLandmarkNoise:
         """Take sightings and landmarks from the log; raises when a reading that the model uses is missing."""
-        wanted = {
+        variables = {
             "landmark_range": (self.range, log.landmark_range),
             "landmark_bearing": (self.bearing, log.landmark_bearing),
             "landmark_size": (self.size, log.landmark_size),
         }
-        for name, (used, values) in wanted.items():
+        for name, (used, values) in variables.items():
             if used and values is None:
                 raise ModelError(
                     f"{log.where}: the model uses {name}, but the log has no such variable; leave it out of the model"
@@ -117,13 +117,13 @@ class LandmarkNoise(LandmarkVariables, Sensor):
                 "a landmark sensor must use at least one of range, bearing and size, but none is switched on"
             )
         assert log.landmarks is not None
-        used_values = [values for used, values in wanted.values() if used and values is not None]
+        used_values = [values for used, values in variables.values() if used and values is not None]
         seen = np.any([~np.isnan(values) for values in used_values], axis=0)
         time, landmark = np.nonzero(seen)
         nothing = np.full(time.size, np.nan)
         columns = [
             owned(values[time, landmark]) if used and values is not None else nothing.copy()
-            for used, values in wanted.values()
+            for used, values in variables.values()
         ]
         n_landmarks = log.landmarks.positions.shape[0]
         zeros, ones = np.zeros(n_landmarks), np.ones(n_landmarks)

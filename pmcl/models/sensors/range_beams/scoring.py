@@ -33,7 +33,7 @@ def beams_that_differ(table: RangeBeams, other: RangeBeams) -> tuple[RangeBeams 
     # Neighbours are named by their number, which changes when beams are left out.
     differ = channels_that_differ(first, second, "beam", ignore=("neighbours",))
     # A beam that may show its neighbour's echo cannot be judged without it.
-    if differ is None or any((field_of(one, "talk_weight") > 0.0).any() for one in (first, second)):
+    if differ is None or any((field_of(each, "talk_weight") > 0.0).any() for each in (first, second)):
         return table, other
     if differ.all():
         return table, other
