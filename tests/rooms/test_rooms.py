@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from rooms import compass, isotropic
 from rooms.compass import COMPASS_OFFSET, Compass
+from scipy import stats
 
 import pmcl
 from pmcl import registry
@@ -189,6 +190,26 @@ def test_simulated_readings_have_offset_noise_and_gaps():
 
 
 # Calibration.
+
+
+def test_sums_of_squares_have_the_density_of_the_readings(rng):
+    log = compass_log(OFFSET)
+    bound = MODEL.bind(log)
+    path = np.cumsum(0.3 * rng.standard_normal((log.n_steps, 3)), axis=0)
+    reading = log.variable("compass")
+
+    def log_density(sigma, offset):
+        error = wrap(reading - offset - path[:, 2])
+        return float(np.nansum(stats.norm(scale=sigma).logpdf(error)))
+
+    def by_sums(sigma, offset):
+        (table,) = bound.tables(np.array([TURN_NOISE, sigma, offset]))[0].sensors
+        sums = bound.parts[0][2].statistics(table, path, None, np.array([1]), np.array([sigma]))
+        return float(-sums.counts[0] * np.log(sigma) - 0.5 * sums.squares[0] / sigma**2)
+
+    for offset in (0.0, OFFSET):
+        expected = log_density(0.05, offset) - log_density(0.08, offset)
+        assert by_sums(0.05, offset) - by_sums(0.08, offset) == pytest.approx(expected)
 
 
 def exact_moments(log):
