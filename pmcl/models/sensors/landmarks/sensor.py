@@ -9,6 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import xarray as xr
 
+# The compiled functions of the table register themselves.
+import pmcl.models.sensors.landmarks.kernels.full
+import pmcl.models.sensors.landmarks.kernels.plain
+import pmcl.models.sensors.landmarks.kernels.single_readings  # noqa: F401
 from pmcl.engine.residuals import GaussianSums, sum_of_squares
 from pmcl.engine.scalars import LOG_2PI
 from pmcl.errors import ModelError

@@ -106,9 +106,3 @@ def extras_of(table: LandmarkSightings) -> LandmarkExtras:
     """Return the extras of a table that has some."""
     assert isinstance(table.extras, LandmarkExtras)
     return table.extras
-
-
-# Whoever has a table needs its compiled functions, which register themselves. They need the types above.
-from pmcl.models.sensors.landmarks.kernels import full as _full  # noqa: E402, F401
-from pmcl.models.sensors.landmarks.kernels import plain as _plain  # noqa: E402, F401
-from pmcl.models.sensors.landmarks.kernels import single_readings as _single_readings  # noqa: E402, F401

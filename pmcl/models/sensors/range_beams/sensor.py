@@ -8,6 +8,9 @@ from typing import ClassVar
 import numpy as np
 import xarray as xr
 
+# The compiled functions of the table register themselves.
+import pmcl.models.sensors.range_beams.kernels.full
+import pmcl.models.sensors.range_beams.kernels.plain  # noqa: F401
 from pmcl.engine.residuals import GaussianSums, sum_of_squares
 from pmcl.errors import ModelError
 from pmcl.logs.arrays import LogArrays

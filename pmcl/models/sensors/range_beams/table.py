@@ -149,8 +149,3 @@ def extras_of(table: RangeBeams) -> RangeExtras:
     """Return the extras of a table that has some."""
     assert isinstance(table.extras, RangeExtras)
     return table.extras
-
-
-# Whoever has a table needs its compiled functions, which register themselves. They need the types above.
-from pmcl.models.sensors.range_beams.kernels import full as _full  # noqa: E402, F401
-from pmcl.models.sensors.range_beams.kernels import plain as _plain  # noqa: E402, F401
