@@ -40,7 +40,7 @@ _RAYS, _MIDDLE = 5, 2
 def _cast_cone(sensor, beam, pose, moved, scratch, inverse, cosine):
     """Write 1 / length into `inverse` (n,), nearest ray of the cone, and the cosine of incidence of its middle one."""
     nearest = scratch[INVERSE_LENGTH]
-    cast_beam(sensor, beam, pose, moved, scratch)
+    cast_beam(sensor, beam, pose, scratch[SINE], scratch[COSINE], moved, scratch)
     for i in range(inverse.size):
         inverse[i] = nearest[i]
     if sensor.extras.specular_weight[beam] != 0.0:
@@ -55,7 +55,7 @@ def _cast_cone(sensor, beam, pose, moved, scratch, inverse, cosine):
         if ray == _MIDDLE:
             continue
         angle = sensor.beam_pose[beam, 2] + (ray - _MIDDLE) / (_RAYS - 1.0) * sensor.extras.width[beam]
-        cast_along(sensor, angle, shared, scratch, other)
+        cast_along(sensor, angle, shared, scratch[SINE], scratch[COSINE], scratch, other)
         for i in range(inverse.size):
             inverse[i] = max(inverse[i], other[i])
 

@@ -110,7 +110,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
             continue
         moved = not has_origin(sensor.beam_pose, beam, origin_x, origin_y)
         origin_x, origin_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
-        cast_beam(sensor, beam, current, moved, scratch)
+        cast_beam(sensor, beam, current, scratch[SINE], scratch[COSINE], moved, scratch)
         beam_logpdf(
             z, inverse_length, sensor.bias[beam], sensor.scale[beam], sensor.std[beam],
             sensor.outlier_weight[beam], sensor.max_range, logp, work, scratch[_MIXTURE],
@@ -141,7 +141,7 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     before = int(last[0])
     moved = before < 0 or not same_origin(sensor.beam_pose, before, beam)
     last[0] = float(beam)
-    cast_beam(sensor, beam, current, moved, scratch)
+    cast_beam(sensor, beam, current, scratch[SINE], scratch[COSINE], moved, scratch)
     inverse_length, work = scratch[INVERSE_LENGTH], scratch[WORK]
     bias, scale, std = sensor.bias[beam], sensor.scale[beam], sensor.std[beam]
     share, max_range = sensor.outlier_weight[beam], sensor.max_range
@@ -171,7 +171,7 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
     for beam in range(reading.shape[1]):
         moved = not has_origin(beam_pose, beam, origin_x, origin_y)
         origin_x, origin_y = beam_pose[beam, 0], beam_pose[beam, 1]
-        cast_beam(sensor, beam, path, moved, scratch)
+        cast_beam(sensor, beam, path, scratch[SINE], scratch[COSINE], moved, scratch)
         weight, scale, bias = 1.0 / sensor.std[beam], sensor.scale[beam], sensor.bias[beam]
         constant, share = math.log(weight) - HALF_LOG_2PI, sensor.outlier_weight[beam]
         for t in range(n_steps):
@@ -222,7 +222,7 @@ def _logpdf_of_draws(sensor, stack, picks, t, previous, current, log_densities, 
             continue
         moved = not has_origin(sensor.beam_pose, beam, origin_x, origin_y)
         origin_x, origin_y = sensor.beam_pose[beam, 0], sensor.beam_pose[beam, 1]
-        cast_beam(sensor, beam, current, moved, scratch)
+        cast_beam(sensor, beam, current, scratch[SINE], scratch[COSINE], moved, scratch)
         for j in range(picks.size):
             k = picks[j]
             beam_logpdf(
