@@ -2,8 +2,16 @@
 
 A table is a NamedTuple of arrays and numbers. Each of its fields declares its axes in its annotation::
 
+    from typing import Annotated, NamedTuple
+
+    from numpy.typing import NDArray
+    from pmcl.engine import Axes, NoExtras
+
+    class MyExtras(NamedTuple):
+        growth: Annotated[NDArray, Axes("beam", neutral=0.0)]
+
     class MyTable(NamedTuple):
-        std: Annotated[Float, Axes("beam")]
+        std: Annotated[NDArray, Axes("beam")]
         extras: NoExtras | MyExtras = NoExtras()
 
 Fields that only effects use stand in the table's ``extras``, whose annotation names their types. Kernels are compiled

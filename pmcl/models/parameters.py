@@ -71,7 +71,7 @@ _FAMILIES: dict[str, _Family] = {
 }
 
 FAMILIES = {name: code for code, name in enumerate(_FAMILIES)}
-"""Number of each family in :attr:`PriorTable.family`; compiled code (``log_prior`` of the Metropolis kernels) knows it."""
+"""Number of each family in :attr:`PriorTable.family`; ``log_prior`` of the Metropolis kernels knows it."""
 
 
 ROLES: dict[str, str] = {

@@ -158,7 +158,8 @@ def _predicted(
             continue
         measured = ~np.isnan(log.dataset[kind].values)
         score = np.full(measured.shape, np.nan)
-        over_channels(score)[predictions.time[selected], predictions.channel[selected]] = predictions.log_score[selected]
+        places = predictions.time[selected], predictions.channel[selected]
+        over_channels(score)[places] = predictions.log_score[selected]
         # A model need not predict every kind of reading that a log holds.
         if not np.isnan(score[measured]).any():
             result[kind] = _Predicted(score[measured], replicated[kind][measured])

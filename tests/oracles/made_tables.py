@@ -6,9 +6,13 @@ import numpy as np
 
 from pmcl.maps.walls import WallMap
 from pmcl.models.motions.increments.table import IncrementMotion
+from pmcl.models.sensor import sensors
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
 from pmcl.models.sensors.range_beams.table import RangeBeams
 from pmcl.models.starts.table import GaussianStart, PoseStart
+
+# The classes of sensors bring the compiled functions of their tables.
+sensors()
 
 ROOM = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 1.5], [2.5, 1.5], [2.5, 3.0], [0.0, 3.0]])
 

@@ -164,7 +164,7 @@ def test_a_sensor_of_ones_own_is_asked_for(rng):
         sensor_of(Drift).simulate(Drift(np.zeros(2)), np.zeros((2, 3)), rng)
 
 
-PARAMETERS = (Parameter("sigma_a", "m", gamma_prior(0.1)), Parameter("sigma_b", "m", gamma_prior(0.2)))
+PARAMETERS = (Parameter("sigma_a", "m", gamma_prior(0.1), role="noise"), Parameter("sigma_b", "m", gamma_prior(0.2)))
 
 
 def test_giving_one_parameter_leaves_the_others_as_they_were():
