@@ -131,10 +131,10 @@ def check_number(
             limits.append(f"{'more than' if open_low else 'at least'} {low:g}{unit}")
         if high < math.inf:
             limits.append(f"{'less than' if open_high else 'at most'} {high:g}{unit}")
-        wanted = f"a number of {' and '.join(limits)}" if limits else f"a finite number{unit and f' in{unit}'}"
+        expected = f"a number of {' and '.join(limits)}" if limits else f"a finite number{unit and f' in{unit}'}"
         came = f"{number:g}{unit}" if is_number else _shown(value)
         place = f"{where}: " if where else ""
-        raise error(f"{place}expected {name} as {wanted}, but got {came}; {advice}")
+        raise error(f"{place}expected {name} as {expected}, but got {came}; {advice}")
     return number
 
 
@@ -166,8 +166,8 @@ def check_type(
     if isinstance(value, kind):
         return value
     kinds = kind if isinstance(kind, tuple) else (kind,)
-    wanted = " or ".join(one.__name__ for one in kinds)
-    raise error(f"expected {name} as {wanted}, but got {_shown(value)}; {advice}")
+    expected = " or ".join(each.__name__ for each in kinds)
+    raise error(f"expected {name} as {expected}, but got {_shown(value)}; {advice}")
 
 
 def check_path(name: str, value: Any, *, error: type[PmclError]) -> str:

@@ -37,7 +37,8 @@ def _ziggurat(density, inverse, tail, tail_area):
     while len(edges) < _LAYERS:
         edges.append(inverse(area / edges[-1] + density(edges[-1])))
     x = np.array([*edges, 0.0])
-    return x[:-1] / _STEPS, np.floor(x[1:] / x[:-1] * _STEPS).astype(np.int64), np.array([density(one) for one in x])
+    densities = np.array([density(value) for value in x])
+    return x[:-1] / _STEPS, np.floor(x[1:] / x[:-1] * _STEPS).astype(np.int64), densities
 
 
 _NORMAL_WIDTH, _NORMAL_SURE, _NORMAL_DENSITY = _ziggurat(

@@ -65,8 +65,8 @@ def block_statistics(
     offered: dict[int, list[NamedTuple]] = {}
     lacking: set[int] = set()
     for parts, tables, path in zip(bound.parts, all_tables, paths, strict=True):
-        made = (tables.start, tables.motion, *tables.sensors)
-        for position, (part, table) in enumerate(zip(parts, made, strict=True)):
+        of_parts = (tables.start, tables.motion, *tables.sensors)
+        for position, (part, table) in enumerate(zip(parts, of_parts, strict=True)):
             slots = bound.slots[position]
             if not (slots.index >= 0).any() or position in lacking:
                 continue

@@ -101,8 +101,8 @@ def prepare(
     values, picks = choose_theta(bound, posterior, method, theta, options)
     tables = [bound.tables(value)[0] for value in values]
     start = tables[0].start
-    elsewhere = anywhere(log, start) if options.recover else None
-    tracker = Tracker(tables, elsewhere, options.for_kernel(particles, len(values), picks, start))
+    unknown_start = anywhere(log, start) if options.recover else None
+    tracker = Tracker(tables, unknown_start, options.for_kernel(particles, len(values), picks, start))
     return Prepared(bound, values, tracker, log.readings_of_rows(), options)
 
 

@@ -146,8 +146,8 @@ def landmark_rows(
         _offset(where, max_offset, rows),
     )
     columns = {"ranges": "landmark_range", "bearings": "landmark_bearing", "sizes": "landmark_size"}
-    made = {columns[name]: np.ascontiguousarray(sightings.values[..., k]) for k, name in enumerate(read)}
-    return {**made, "landmark_time_offset": sightings.time_offset}
+    arrays = {columns[name]: np.ascontiguousarray(sightings.values[..., k]) for k, name in enumerate(read)}
+    return {**arrays, "landmark_time_offset": sightings.time_offset}
 
 
 def beam_rows(

@@ -105,9 +105,9 @@ def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
         found = dataset[name]
         sizes = {dim: len(LABELS[dim]) for dim in variable.dims if dim in LABELS}
         if set(found.dims) != set(variable.dims) or any(found.sizes[dim] != size for dim, size in sizes.items()):
-            wanted = ", ".join(f"{dim}={sizes[dim]}" if dim in sizes else dim for dim in variable.dims)
+            declared = ", ".join(f"{dim}={sizes[dim]}" if dim in sizes else dim for dim in variable.dims)
             got = ", ".join(f"{dim}={size}" for dim, size in found.sizes.items())
-            fail(where, f"expected '{name}' with dimensions ({wanted}), got ({got}): rename or reshape it")
+            fail(where, f"expected '{name}' with dimensions ({declared}), got ({got}): rename or reshape it")
         found = found.transpose(*variable.dims)
         try:
             values = as_numbers(found.values)

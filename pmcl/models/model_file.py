@@ -239,27 +239,27 @@ def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], lo
 
 
 def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
-    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
+    if not isinstance(given, list) or not all(isinstance(table, dict) for table in given):
         _fail(where, "effects", f"expected tables [[effects]], but got {given!r}; write [[effects]] and name = below")
-    made = []
-    for one in given:
-        if not isinstance(one.get("name"), str):
-            _fail(where, "effects", f"expected the name of an effect, but got {one!r}; write for example "
+    effects = []
+    for table in given:
+        if not isinstance(table.get("name"), str):
+            _fail(where, "effects", f"expected the name of an effect, but got {table!r}; write for example "
                   'name = "range-bias"')  # fmt: skip
-        if one["name"] == _FORMULA or one["name"].startswith(PREFIX) or "terms" in one:
-            made.append(_formula(where, one, log))
+        if table["name"] == _FORMULA or table["name"].startswith(PREFIX) or "terms" in table:
+            effects.append(_formula(where, table, log))
             continue
-        place = {key: value for key, value in one.items() if key != "name"}
+        place = {key: value for key, value in table.items() if key != "name"}
         for key, value in place.items():
             if not isinstance(value, list) or not value:
                 _fail(where, f"effects.{key}", f"expected a list of numbers, but got {value!r}; write for example [2]")
             for number in value:
                 _number(where, f"effects.{key}", number)
         try:
-            made.append(effect_named(one["name"], log, place))
+            effects.append(effect_named(table["name"], log, place))
         except ModelError as error:
             _fail(where, "effects", str(error))
-    return tuple(made)
+    return tuple(effects)
 
 
 def _formula(where: str, given: Mapping[str, Any], log: RobotLog) -> Effect:
@@ -292,6 +292,6 @@ def _formula(where: str, given: Mapping[str, Any], log: RobotLog) -> Effect:
 
 
 def _texts(where: str, key: str, value: Any, example: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+    if not isinstance(value, list) or not value or not all(isinstance(text, str) for text in value):
         _fail(where, key, f'expected a list of texts, but got {value!r}; write for example ["{example}"]')
     return tuple(value)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pmcl.checks import check_choice, check_type
+from pmcl.engine.scalars import HALF_LOG_2PI
 from pmcl.errors import ModelError
 
 __all__ = [
@@ -20,8 +21,6 @@ __all__ = [
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
-
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 class _Family(NamedTuple):
@@ -46,13 +45,13 @@ _ABOVE_0, _ANY, _0_TO_1 = (0.0, math.inf), (-math.inf, math.inf), (0.0, 1.0)
 
 # By scipy name. Shapes that a family does not allow give NaN, as in scipy.
 _FAMILIES: dict[str, _Family] = {
-    "norm": _Family(_ANY, lambda a, b: -_HALF_LOG_2PI, lambda y, a, b: -0.5 * y * y),
+    "norm": _Family(_ANY, lambda a, b: -HALF_LOG_2PI, lambda y, a, b: -0.5 * y * y),
     "gamma": _Family(
         _ABOVE_0, lambda a, b: -math.lgamma(a) if a > 0 else math.nan, lambda y, a, b: (a - 1.0) * math.log(y) - y
     ),
     "lognorm": _Family(
         _ABOVE_0,
-        lambda a, b: -_HALF_LOG_2PI - math.log(a) if a > 0 else math.nan,
+        lambda a, b: -HALF_LOG_2PI - math.log(a) if a > 0 else math.nan,
         lambda y, a, b: -math.log(y) - 0.5 * (math.log(y) / a) ** 2,
     ),
     "uniform": _Family(_0_TO_1, lambda a, b: 0.0, lambda y, a, b: 0.0),

@@ -239,15 +239,15 @@ class BoundModel:
         """Return the coefficient tables of each log for `theta` (d,)."""
         own = [slots.take(theta) for slots in self.slots]
         n_parts = len(self.model.parts)
-        made = []
+        of_logs = []
         for log, parts in zip(self.logs, self.parts, strict=True):
             start, motion, *sensors = (part.table(values) for part, values in zip(parts, own[:n_parts], strict=True))
             tables = Tables(start, motion, tuple(sensors))
             for effect, values in zip(self.effects, own[n_parts:], strict=True):
                 tables = effect.edit(tables, values, log)
             # Kernels are compiled for each combination of table types, of which this keeps only few.
-            made.append(uniform(tables))
-        return tuple(made)
+            of_logs.append(uniform(tables))
+        return tuple(of_logs)
 
     def restricted(self, rows: int) -> BoundModel:
         """Return the same model of no more than the first `rows` rows of each log.
@@ -255,9 +255,9 @@ class BoundModel:
         Tables stay those of whole logs, so that times and shares of a log keep their meaning; what is fitted and
         filtered ends after these rows.
         """
-        made = copy.copy(self)
-        made.lengths = tuple(min(rows, length) for length in self.lengths)
-        return made
+        shorter = copy.copy(self)
+        shorter.lengths = tuple(min(rows, length) for length in self.lengths)
+        return shorter
 
     def has_statistics(self, position: int) -> bool:
         """Return whether the statistics that a part offers are still those of its density, effects included.

@@ -154,11 +154,11 @@ class Sensors:
         std = level[:, None, None] * self.noise.beam
         factor, longest = self.range_factor[way, None, None], self.max_range[way, None, None]
         length = np.minimum(length, OPEN_RAY * longest)
-        told = np.where(np.isfinite(read.length), read.length, np.inf)[None, :, None] * factor
-        nothing = told >= longest
+        measured = np.where(np.isfinite(read.length), read.length, np.inf)[None, :, None] * factor
+        nothing = measured >= longest
         zero = (read.length == 0.0)[None, :, None]
         anything = (1.0 - _NO_ECHO - _ZERO) / longest
-        density = factor * _mixed(np.where(nothing, longest, told) - length, std, anything)
+        density = factor * _mixed(np.where(nothing, longest, measured) - length, std, anything)
         if nothing.any():
             missed = (1.0 - _GROSS) * ndtr((length - longest) / std) + _NO_ECHO * _GROSS
             width = np.where(np.isfinite(read.length), self.width_beyond, 1.0)[None, :, None]

@@ -67,15 +67,15 @@ def evidence_of_no_relation(log: LogArrays, stretch: Stretch) -> Float:
     out = np.zeros(stretch.rows.size)
     for k, read in enumerate(stretch.readings):
         columns = (("range", read.range), ("bearing", read.bearing), ("size", read.size))
-        told = [
+        readings = [
             (name, int(j), _in_one_turn(value) if name == "bearing" else value)
             for name, values in columns
             for j, value in zip(read.landmark, values.tolist(), strict=True)
             if not math.isnan(value)
         ]
         if log.walls is not None:
-            told += [("beam", int(b), value) for b, value in zip(read.beam, read.length.tolist(), strict=True)]
-        for name, number, value in told:
+            readings += [("beam", int(b), value) for b, value in zip(read.beam, read.length.tolist(), strict=True)]
+        for name, number, value in readings:
             if (name, number) not in known:
                 low, high = (0.0, log.max_range) if name == "beam" else bounds[name]
                 known[name, number] = _Histogram(low, high if high > low else low + 1.0, beyond)

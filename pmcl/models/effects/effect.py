@@ -134,9 +134,9 @@ class Effect:
                     f"but got {value:g}; widen the prior"
                 )
         known = {str(k) for k in range(len(own))} | set(self.where)
-        told = {name for _, name, _, _ in string.Formatter().parse(self.finding) if name is not None}
+        named = {name for _, name, _, _ in string.Formatter().parse(self.finding) if name is not None}
         # Which places an effect has is known of its instances only.
-        strange = sorted(one for one in told - known if one.isdecimal() or self.where or self.places is None)
+        strange = sorted(name for name in named - known if name.isdecimal() or self.where or self.places is None)
         if strange:
             raise ModelError(
                 f"effect {self.name}: expected a finding about {', '.join(sorted(known))}, but got "
@@ -213,18 +213,18 @@ class Effect:
             When the effect has no places, or `where` names another kind of place.
         """
         offered = self.places(log) if self.places is not None else ()
-        kinds = {tuple(one) for one in offered}
+        kinds = {tuple(place) for place in offered}
         plain = {str(key): tuple(float(value) for value in values) for key, values in where.items()}
         if tuple(plain) not in kinds:
-            told = " or ".join(", ".join(kind) for kind in sorted(kinds)) or "no place"
+            places = " or ".join(", ".join(kind) for kind in sorted(kinds)) or "no place"
             raise ModelError(
-                f"{log.where}: effect {self.name} expected {told}, but got {', '.join(plain) or 'none'}; "
+                f"{log.where}: effect {self.name} expected {places}, but got {', '.join(plain) or 'none'}; "
                 "correct where it is"
             )
-        whole = all(value == int(value) for one in offered for values in one.values() for value in values)
+        whole = all(value == int(value) for place in offered for values in place.values() for value in values)
         # A beam or landmark that this log has but never read is a place, too: a model may come from another log.
         held = all(0 <= value < _count(log, key) for key, values in plain.items() for value in values)
-        if whole and not held and not any(all(tuple(one[key]) == plain[key] for key in plain) for one in offered):
+        if whole and not held and not any(all(tuple(place[key]) == plain[key] for key in plain) for place in offered):
             raise ModelError(
                 f"{log.where}: effect {self.name} expected one of the {len(offered)} places that the log has, but got "
                 f"{', '.join(f'{v:g}' for values in plain.values() for v in values)}; count from 0"

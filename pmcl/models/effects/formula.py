@@ -116,7 +116,8 @@ def _range_noise(tables: Tables, change: Float) -> Tables:
 
 
 def _factor(change: Float) -> Float:
-    # A chain that strays must not overflow; a standard deviation 148 times as large says as little as any larger one.
+    # A chain far from the posterior must not overflow. With a standard deviation that is 148 times as large, readings say
+    # nothing, and with a larger one they say no less.
     return np.asarray(np.exp(np.clip(change, -5.0, 5.0)))
 
 
@@ -350,7 +351,7 @@ def _identifier(text: str) -> str:
 
 def path_formulas(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """Return those effects that are formulas of a path, which a log must hold an estimate of."""
-    return tuple(one for one in effects if isinstance(one.change, Formula) and one.change.needs_path)
+    return tuple(effect for effect in effects if isinstance(effect.change, Formula) and effect.change.needs_path)
 
 
 def portable(effect: Effect) -> Effect:

@@ -104,8 +104,8 @@ def _read_row_after_row(log: RobotLog) -> bool:
     """Return whether landmarks are often read at consecutive rows: the density depends on the row before only."""
     channels = [values for values in (log.landmark_range, log.landmark_bearing) if values is not None]
     read = [~np.isnan(values) for values in channels]
-    again = sum(int((one[1:] & one[:-1]).sum()) for one in read)
-    return again > 0.2 * sum(int(one.sum()) for one in read)
+    again = sum(int((seen[1:] & seen[:-1]).sum()) for seen in read)
+    return again > 0.2 * sum(int(seen.sum()) for seen in read)
 
 
 def _reads_several(log: RobotLog) -> bool:

@@ -143,7 +143,7 @@ def check_on(effect: Effect, log: RobotLog) -> None:
                 raise ModelError(f"effect {effect.name}: expected new arrays, but it altered '{name}'; change a copy")
             array = after.get(name)
             if array is None:
-                continue  # a richer table may keep it under another name
+                continue  # a table with extras has further fields
             if array.shape != copy.shape:
                 raise ModelError(
                     f"effect {effect.name}: expected '{name}' of shape {copy.shape}, but got {array.shape} at {what}; "
@@ -222,12 +222,12 @@ def _located(file: Path, error: Exception) -> ModelError:
         lines.append(error.lineno)
     at = f", line {lines[-1]}" if lines else ""
     # Errors of pmcl say themselves what was expected.
-    told = (
+    problem = (
         str(error)
         if isinstance(error, PmclError)
         else (f"expected Python code that runs, but got {_in_one_line(error)}; correct it")
     )
-    return ModelError(f"{file}{at}: {told}")
+    return ModelError(f"{file}{at}: {problem}")
 
 
 def _in_one_line(error: Exception) -> str:

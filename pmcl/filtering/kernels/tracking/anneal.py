@@ -47,13 +47,13 @@ def _effective_at(step, like, greatest, weights):
 @kernel
 def _next_degree(like, greatest, limit, weights):
     """Return the greatest step up to `limit` that keeps the share of effective particles."""
-    wanted = _SHARE * like.size
-    if _effective_at(limit, like, greatest, weights)[0] >= wanted:
+    least_size = _SHARE * like.size
+    if _effective_at(limit, like, greatest, weights)[0] >= least_size:
         return limit
     low, high = 0.0, limit
     for _ in range(25):
         middle = 0.5 * (low + high)
-        if _effective_at(middle, like, greatest, weights)[0] >= wanted:
+        if _effective_at(middle, like, greatest, weights)[0] >= least_size:
             low = middle
         else:
             high = middle
