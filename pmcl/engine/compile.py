@@ -28,6 +28,9 @@ __all__ = ["entry", "generic", "kernel", "overload_for_types"]
 
 # Type of a table, and of its extras where the implementation is for those alone.
 _Key = tuple[type, type | None]
+# Types of tables that have registered some implementation. The defaults, which serve all types, serve no other: a table
+# whose own implementations are not imported yet would get them by mistake, and the cache would keep what was compiled.
+_types_with_implementations: set[type] = set()
 
 _CONTRACT = {"contract", "nsz"}
 
@@ -120,6 +123,7 @@ def generic(prototype: Callable[..., Any]) -> Any:
         def decorate(implementation: Callable[..., Any]) -> Callable[..., Any]:
             remember_source(implementation)
             function = InnerFunction(implementation, _options(allocates=allocates))
+            _types_with_implementations.add(table_type)
             for extras_type in extras_types or (None,):
                 implementations[table_type, extras_type] = implementation
                 compiled[table_type, extras_type] = function
@@ -135,10 +139,10 @@ def generic(prototype: Callable[..., Any]) -> Any:
 
 def _for_types(registered: dict[_Key, Any], table_type: type, extras_type: type | None) -> Any:
     """Return what is registered for a table with such extras, for the table whatever its extras, or for all tables."""
-    for key in ((table_type, extras_type), (table_type, None), (object, None)):
+    for key in ((table_type, extras_type), (table_type, None)):
         if key in registered:
             return registered[key]
-    return None
+    return registered.get((object, None)) if table_type in _types_with_implementations else None
 
 
 def _extras_class(table: Any) -> type | None:

@@ -26,7 +26,7 @@ from typing import Any
 
 import numba
 
-from pmcl.engine.disk_cache import current_sources, extra_modules
+from pmcl.engine.disk_cache import current_sources, kernel_modules
 from pmcl.engine.functions import EntryFunction
 from pmcl.engine.progress import expect_compilations
 
@@ -94,7 +94,7 @@ def _start(jobs: list[tuple[str, str, Any]]) -> None:
     )  # fmt: skip
     _helpers.append(helper)
     assert helper.stdin is not None
-    for line in (sys.path, extra_modules()):
+    for line in (sys.path, kernel_modules()):
         helper.stdin.write(json.dumps(line).encode() + b"\n")
     helper.stdin.write(len(request).to_bytes(8, "little") + request)
     helper.stdin.flush()

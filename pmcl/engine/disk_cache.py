@@ -28,7 +28,7 @@ from numba.core.serialize import dumps
 
 from pmcl.engine.file_lock import FileLock
 
-__all__ = ["DiskCache", "current_sources", "extra_modules", "remember_source"]
+__all__ = ["DiskCache", "current_sources", "kernel_modules", "remember_source"]
 
 # After so long [s] another process that compiles the same function is taken to hang, and is not waited for any longer.
 _PATIENCE = 120.0
@@ -38,19 +38,22 @@ _HOME = Path(__file__).resolve().parents[1]
 # Where compiled code and the tables that it reads are written, below the package's folder.
 _OWN_SOURCES = ("engine/*.py", "filtering/kernels/**/*.py", "models/**/kernels/**/*.py", "models/**/kernels.py",
                 "models/**/table*.py")  # fmt: skip
-# Of each other source that holds kernels: a hash of its content, and the module that it is.
-_extra_sources: dict[str, tuple[str, str]] = {}
+# Of each other source that holds kernels: a hash of its content.
+_extra_sources: dict[str, str] = {}
+# The modules that hold kernels, pmcl's own and others, in the order in which they were imported.
+_kernel_modules: dict[str, None] = {}
 
 
 def remember_source(function: Callable[..., Any]) -> None:
     """Let compiled code depend on the file that `function` is written in, as it is now."""
+    _kernel_modules[function.__module__] = None
     with contextlib.suppress(TypeError):
         name = inspect.getsourcefile(function)
         if name and not _is_own(name):
             content = b""
             with contextlib.suppress(OSError):
                 content = Path(name).read_bytes()
-            _extra_sources[name] = hashlib.sha256(content).hexdigest(), function.__module__
+            _extra_sources[name] = hashlib.sha256(content).hexdigest()
 
 
 @functools.cache
@@ -63,9 +66,13 @@ def _is_own(name: str) -> bool:
     return Path(name).resolve() in _own_sources()
 
 
-def extra_modules() -> list[str]:
-    """Return the modules outside these folders that hold kernels."""
-    return sorted({module for _, module in _extra_sources.values()})
+def kernel_modules() -> list[str]:
+    """Return the modules that hold kernels, in the order in which this process imported them.
+
+    Another process that compiles the same functions imports all of them: an implementation for a type of tables that
+    has not registered itself would be left out of what it compiles.
+    """
+    return list(_kernel_modules)
 
 
 @functools.cache
@@ -78,7 +85,7 @@ def _package_hash() -> str:
 
 def current_sources() -> str:
     """Return a hash of all sources that compiled code may come from."""
-    extra = sorted((name, content) for name, (content, _) in _extra_sources.items())
+    extra = sorted(_extra_sources.items())
     return hashlib.sha256(repr((_package_hash(), extra)).encode()).hexdigest()
 
 

@@ -116,8 +116,8 @@ def _range_noise(tables: Tables, change: Float) -> Tables:
 
 
 def _factor(change: Float) -> Float:
-    # A chain far from the posterior must not overflow. With a standard deviation 148 times as large, readings say nothing
-    # already.
+    # A chain far from the posterior must not overflow. With a standard deviation 148 times as large, readings tell
+    # nothing any more.
     return np.asarray(np.exp(np.clip(change, -5.0, 5.0)))
 
 
