@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba import errors, njit
 from oracles import hidden_markov
 from oracles.random_walk_model import rail_log, rail_model
 
@@ -21,6 +22,7 @@ from pmcl.engine.vector_math import exp_into
 from pmcl.errors import ModelError
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import make_rng, update_path
+from pmcl.models.sensor import sensors
 
 TESTS = Path(__file__).resolve().parents[1]
 PACKAGE = Path(disk_cache.__file__).resolve().parents[2]
@@ -285,3 +287,25 @@ def test_kernels_survive_a_cache_that_names_types_they_cannot_import(tmp_path):
 def test_a_table_without_an_implementation_is_named():
     with pytest.raises(TypeError, match="propagate has no implementation for a table of type StartChain"):
         contract.propagate(hidden_markov.chain_tables().start, 0, None, None, None, None)
+
+
+def test_defaults_serve_no_table_that_has_registered_nothing():
+    """A table whose implementations are not imported yet would else be compiled with defaults, and stay in the cache."""
+
+    class Unregistered(NamedTuple):
+        value: float
+
+    with pytest.raises(TypeError, match="reading_count has no implementation for a table of type Unregistered"):
+        contract.reading_count(Unregistered(1.0), 5)
+    lookup = njit(lambda sensor: contract.reading_count(sensor, 5))
+    with pytest.raises(errors.TypingError):
+        lookup(Unregistered(1.0))
+
+
+def test_another_process_is_told_of_every_module_with_an_implementation():
+    assert sensors()  # imports all of them
+    known = disk_cache.kernel_modules()
+    for name in contract.__all__:
+        for implementation in getattr(contract, name).implementations.values():
+            assert implementation.__module__ in known
+    assert "pmcl.models.sensors.range_beams.kernels.plain" in known
