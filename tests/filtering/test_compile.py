@@ -290,7 +290,7 @@ def test_a_table_without_an_implementation_is_named():
 
 
 def test_defaults_serve_no_table_that_has_registered_nothing():
-    """A table whose implementations are not imported yet would else be compiled with defaults, and stay in the cache."""
+    """Else a table whose implementations are not imported yet would be compiled with defaults, and kept."""
 
     class Unregistered(NamedTuple):
         value: float
