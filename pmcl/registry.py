@@ -51,6 +51,7 @@ _OWN: dict[str, dict[str, str]] = {
 _OWN_VARIABLES: dict[str, str] = {
     "range": "pmcl.models.sensors.range_beams.log_variables:RangeVariables",
     "landmarks": "pmcl.models.sensors.landmarks.log_variables:LandmarkVariables",
+    "lidar": "pmcl.models.sensors.lidar.log_variables:LidarVariables",
 }
 
 

@@ -94,7 +94,7 @@ class Sensor(SensorVariables):
         -------
         Sensor or None
         """
-        return cls() if any(name in log.dataset for name in cls.readings()) else None
+        return cls() if any(name in log.dataset for name in cls.readings(log.dataset)) else None
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -64,7 +64,7 @@ def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    return tuple(kind for kind in readings() if kind in dataset)
+    return tuple(kind for kind in readings(dataset) if kind in dataset)
 
 
 def over_channels(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -128,7 +128,7 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
     for channel, column in zip(channels, columns, strict=True):
         numbers = values.coords[channel].values if channel in values.coords else np.arange(values.sizes[channel])
         coords[f"{kind}_{channel}{suffix}"] = (dims, numbers[column], {"units": "1", "long_name": channel})
-    attrs = {**values.attrs, "units": variables()[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
+    attrs = {**values.attrs, "units": variables([kind])[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
     return xr.DataArray(measured, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
 
 

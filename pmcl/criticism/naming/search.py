@@ -310,5 +310,5 @@ def _explains_too_little(best: Trial, judgement: Judgement) -> bool:
 
 def _readings(log: RobotLog, rows: slice) -> int:
     """Return how many numbers the sensors have read in some rows."""
-    variables = (log.dataset[name].values[rows] for name in readings() if name in log.dataset)
+    variables = (log.dataset[name].values[rows] for name in readings(log.dataset) if name in log.dataset)
     return sum(int((~np.isnan(values)).sum()) for values in variables)
