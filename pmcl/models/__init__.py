@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise
     from pmcl.models.parameters import Parameter, gamma_prior
     from pmcl.models.part import BoundPart, Part
+    from pmcl.models.quick import ChannelReading, Misreading, QuickReadings, ReadAs
     from pmcl.models.robot_model import RobotModel, default_model
     from pmcl.models.sensor import ReadingIndex, Sensor, register_sensor
     from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
@@ -25,13 +26,17 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoundPart",
+    "ChannelReading",
     "GrowingIncrementNoise",
     "IncrementNoise",
     "LandmarkNoise",
+    "Misreading",
     "Motion",
     "Parameter",
     "Part",
+    "QuickReadings",
     "RangeNoise",
+    "ReadAs",
     "ReadingIndex",
     "RobotModel",
     "Sensor",
@@ -46,13 +51,17 @@ __all__ = [
 
 _HOMES = {
     "BoundPart": "pmcl.models.part",
+    "ChannelReading": "pmcl.models.quick",
     "GrowingIncrementNoise": "pmcl.models.motions.increments.motion",
     "IncrementNoise": "pmcl.models.motions.increments.motion",
     "LandmarkNoise": "pmcl.models.sensors.landmarks.sensor",
+    "Misreading": "pmcl.models.quick",
     "Motion": "pmcl.models.motion",
     "Parameter": "pmcl.models.parameters",
     "Part": "pmcl.models.part",
+    "QuickReadings": "pmcl.models.quick",
     "RangeNoise": "pmcl.models.sensors.range_beams.sensor",
+    "ReadAs": "pmcl.models.quick",
     "ReadingIndex": "pmcl.models.sensor",
     "RobotModel": "pmcl.models.robot_model",
     "Sensor": "pmcl.models.sensor",
