@@ -13,6 +13,7 @@ from pmcl.cli.criticize import criticize
 from pmcl.cli.demo import demo
 from pmcl.cli.effects import effects
 from pmcl.cli.example import example
+from pmcl.cli.export import export
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
 from pmcl.cli.simulate import simulate
@@ -31,7 +32,7 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, criticize, compare, localize, report, effects, example):
+for command in (demo, simulate, convert, calibrate, criticize, compare, localize, export, report, effects, example):
     pmcl.add_command(command)
 
 for command in (bag,):

@@ -84,6 +84,14 @@ _PARTICLES = click.IntRange(min=2)
     help="Write the poses as TUM text too (for evo).",
 )
 @click.option(
+    "--mcap",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    callback=writable_file,
+    help="Write poses, map and the end points of readings as an MCAP file too (for Foxglove and rerun; needs "
+    "pip install 'pmcl[ros]').",
+)
+@click.option(
     "--tum-reference",
     type=click.Path(path_type=Path),
     metavar="FILE",
@@ -104,13 +112,18 @@ def localize(
     start: str | None,
     seed: int,
     tum: Path | None,
+    mcap: Path | None,
     tum_reference: Path | None,
     **settings: Any,
 ) -> None:
     """Tell where a robot was at each row of its log, with the parameters that a calibration found."""
-    outputs = [path for path in (output, tum, tum_reference) if path is not None]
+    outputs = [path for path in (output, tum, mcap, tum_reference) if path is not None]
     _protect(ctx, outputs, [path for path in (log_file, posterior_file, model_file) if path is not None])
 
+    if mcap is not None:
+        from pmcl.exports.mcap_track import require_mcap, write_mcap
+
+        require_mcap()  # before the filter runs
     from pmcl.localization.offline import localize as run
     from pmcl.localization.options import FilterOptions
     from pmcl.localization.tum import write_tum
@@ -132,6 +145,8 @@ def localize(
     track.write(output)
     if tum is not None:
         track.write_tum(tum)
+    if mcap is not None:
+        write_mcap(mcap, track, log)
     if tum_reference is not None and log.true_poses is not None:
         write_tum(tum_reference, log.times, log.true_poses)
     _print_summary(track)

@@ -1,8 +1,8 @@
 """Messages of a ROS 1 bag, a ROS 2 folder (sqlite3 or MCAP) or an MCAP file, one after the other.
 
-This is the only module that imports rosbags, an optional dependency (``pip install 'pmcl[ros]'``). Messages are decoded
-with the standard definitions of their types, not with those in the bag: bags of ROS 2 Humble and before hold none, and
-the types that are needed here have not changed since. Custom types of other topics are therefore never looked at.
+Of all readers only this module imports rosbags, an optional dependency (``pip install 'pmcl[ros]'``). Messages are
+decoded with the standard definitions of their types, not with those in the bag: bags of ROS 2 Humble and before hold
+none, and the types that are needed here have not changed since. Custom types of other topics are never looked at.
 """
 
 from __future__ import annotations
