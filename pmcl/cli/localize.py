@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmcl import defaults
-from pmcl.cli.options import effects_option, output_option, parameter_values, seed_option, writable_file
+from pmcl.cli.options import effects_option, map_option, output_option, parameter_values, seed_option, writable_file
 from pmcl.errors import PosteriorError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ _PARTICLES = click.IntRange(min=2)
     callback=parameter_values,
     help="Value of a parameter, used instead of what --method gives (may be repeated).",
 )
+@map_option()
 @click.option(
     "--model",
     "model_file",
@@ -107,6 +108,7 @@ def localize(
     posterior_file: str | None,
     method: str,
     theta: dict[str, float],
+    map_file: str | None,
     model_file: str | None,
     particles: int,
     start: str | None,
@@ -118,7 +120,7 @@ def localize(
 ) -> None:
     """Tell where a robot was at each row of its log, with the parameters that a calibration found."""
     outputs = [path for path in (output, tum, mcap, tum_reference) if path is not None]
-    _protect(ctx, outputs, [path for path in (log_file, posterior_file, model_file) if path is not None])
+    _protect(ctx, outputs, [path for path in (log_file, map_file, posterior_file, model_file) if path is not None])
 
     if mcap is not None:
         from pmcl.exports.mcap_track import require_mcap, write_mcap
@@ -130,7 +132,7 @@ def localize(
     from pmcl.logs.robot_log import RobotLog
     from pmcl.posterior.files import read_posterior
 
-    log = RobotLog.read(log_file)
+    log = RobotLog.read(log_file, map_file)
     if tum_reference is not None and log.true_poses is None:
         raise click.UsageError(f"--tum-reference: the log {log_file} has no reference trajectory: leave it out", ctx)
     posterior = None if posterior_file is None else read_posterior(posterior_file)
