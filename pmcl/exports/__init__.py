@@ -4,7 +4,8 @@
 for nav2, beluga and ROS 1 AMCL, for ros2_controllers, as static transforms, or as JSON.
 :mod:`~pmcl.exports.likelihood_field` and :mod:`~pmcl.exports.beam_model` translate the weights of lidar models,
 :mod:`~pmcl.exports.wheels` and :mod:`~pmcl.exports.mounts` turn effects that were found into corrections of a robot's
-description. The files go to the robot.
+description. :mod:`~pmcl.exports.mcap_track` writes a localized log for viewers. The files go to the robot and to
+Foxglove or rerun.
 """
 
 from __future__ import annotations

@@ -27,16 +27,17 @@ from pmcl.checks import check_path
 from pmcl.errors import MapError, did_you_mean
 from pmcl.maps.occupancy_grid import FREE, MOST_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 
-__all__ = ["occupancy", "read_map", "write_map"]
+__all__ = ["FREE_THRESH", "OCCUPIED_THRESH", "occupancy", "read_map", "write_map"]
 
 _MODES = ("trinary", "scale", "raw")
 # A file of six lines; a larger one is something else, and is not parsed [byte].
 _LONGEST_YAML = 65536
 # Truth values in the spellings that map_server's YAML library (yaml-cpp) knows.
 _TRUTHS = {"y": True, "yes": True, "true": True, "on": True, "n": False, "no": False, "false": False, "off": False}
-# Grey values of write_map, those of map_saver, and thresholds between them.
+# Grey values of write_map are those of map_saver.
 _GREYS = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
-_OCCUPIED_THRESH, _FREE_THRESH = 0.65, 0.196
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+"""The thresholds that map_server's documentation gives, and most maps have."""
 
 
 def read_map(path: str | os.PathLike[str]) -> OccupancyGrid:
@@ -309,7 +310,7 @@ def write_map(grid: OccupancyGrid, path: str | os.PathLike[str]) -> None:
     text = (
         f"image: {_quoted(image.name)}\nmode: trinary\nresolution: {grid.resolution!r}\n"
         f"origin: [{x!r}, {y!r}, {yaw!r}]\n"
-        f"negate: 0\noccupied_thresh: {_OCCUPIED_THRESH}\nfree_thresh: {_FREE_THRESH}\n"
+        f"negate: 0\noccupied_thresh: {OCCUPIED_THRESH}\nfree_thresh: {FREE_THRESH}\n"
     )
     parts = [target.with_name(f".{target.name}.{secrets.token_hex(4)}.part") for target in (image, file)]
     try:

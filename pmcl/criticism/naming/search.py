@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pmcl.criticism.findings.assemble import found_effect
-from pmcl.criticism.findings.result import FoundEffect, JudgedFit
+from pmcl.criticism.findings.parts import FoundEffect
+from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import WORTH_A_FORMULA
 from pmcl.criticism.fitting.quick_fit import Fit
 from pmcl.criticism.fitting.trials import PRACTICAL, Trial
