@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,9 @@ _PIECES, _ROWS = 12, 16
 _SPEED, _TURN_RATE = 0.2, 0.3
 # Greatest turn of one row [rad], beyond which a robot would be seen to turn the other way.
 _MOST_TURN = 1.0
-# Below these, odometry of a row is standing still [m], [rad].
+# Rows of a curve to one side, before one to the other.
+_WEAVE = 4
+# Below this, odometry of a row is standing still [m] or [rad].
 _STILL = 1e-3
 # A straight line may leave the places of the log by this share of their extent.
 _NEAR = 0.08
@@ -71,6 +73,12 @@ class Drive:
     moves: bool = True
 
 
+class _Piece(RobotLog):
+    """A piece of a drive; a motion model must not ask it to move, as it may a whole log."""
+
+    is_whole: ClassVar[bool] = False
+
+
 class _Line(NamedTuple):
     start: Float
     length: float
@@ -96,12 +104,13 @@ def drives_for(log: RobotLog, path: Float, *, sideways: bool) -> tuple[Drive, ..
     line = _longest_line(path, step)
     rows = np.linspace(0, max(len(path) - _ROWS - 1, 0), _PIECES).astype(int)
     places = path[np.linspace(0, len(path) - 1, _PIECES).astype(int), :3]
-    there = max(round(line.length / step), 1)
-    on_line = np.array([_along(line, (piece // 2) * _ROWS // 2 % there * step) for piece in range(_PIECES)])
-    count = np.arange(_PIECES * (_ROWS - 1)).reshape(_PIECES, _ROWS - 1)
-    back = np.where(_alternating(_PIECES, _ROWS, there), 1.0, -1.0)
-    both = np.where((np.arange(_PIECES) % 2 == 0)[:, None], 1.0, -1.0) * np.ones(_ROWS)
-    weave = np.where(np.pad(count // 4 % 2 == 0, ((0, 0), (1, 0))), 1.0, -1.0)
+    forth = _there_and_back(max(int(line.length / step), 1))
+    # Each piece begins on the line where the one before it should have ended.
+    gone = step * np.concatenate([[0.0], np.cumsum(forth)])[: forth.size : _ROWS - 1]
+    on_line = line.start + gone[:, None] * np.array([np.cos(line.start[2]), np.sin(line.start[2]), 0.0])
+    back = _by_piece(forth)
+    both = _by_piece(_there_and_back(_ROWS - 1))
+    weave = _by_piece(_there_and_back(_WEAVE, _WEAVE // 2))
     nothing = np.zeros((_PIECES, _ROWS))
     again = [np.array(log.odometry[row : row + _ROWS]) for row in rows]
     drives = [
@@ -131,15 +140,15 @@ def _speeds(log: RobotLog) -> tuple[float, float]:
     return float(step), float(min(max(fast, _TURN_RATE * period), _MOST_TURN))
 
 
-def _alternating(pieces: int, rows: int, period: int) -> NDArray[np.bool_]:
-    """Return for each row of each piece whether it goes there; a piece begins where the one before would end."""
-    count = np.arange(pieces)[:, None] // 2 * (rows // 2) + np.arange(-1, rows - 1)
-    return np.asarray(count // period % 2 == 0)
+def _there_and_back(rows: int, before: int = 0) -> Float:
+    """Return the sign of each row of a drive that changes it every so many rows, `before` of which are over."""
+    count = np.arange(_PIECES * (_ROWS - 1)) + before
+    return np.where(count // rows % 2 == 0, 1.0, -1.0)
 
 
-def _along(line: _Line, distance: float) -> Float:
-    heading = line.start[2]
-    return line.start + distance * np.array([np.cos(heading), np.sin(heading), 0.0])
+def _by_piece(signs: Float) -> Float:
+    """Return the signs of the rows of each piece, (K, L); row 0 of a piece is not used."""
+    return np.pad(signs.reshape(_PIECES, _ROWS - 1), ((0, 0), (1, 0)))
 
 
 def _longest_line(path: Float, step: float) -> _Line:
@@ -234,7 +243,7 @@ def _piece(log: RobotLog, path: Float, start: Float, command: Float) -> RobotLog
     part["odometry"] = part["odometry"].copy(data=increments)
     part["start_mean"] = part["start_mean"].copy(data=np.array(start[:3]))
     part["start_std"] = part["start_std"].copy(data=np.minimum(log.start_std, _START_STD))
-    return RobotLog.trusted(part, f"{log.where} (planned)", log.grid_map)
+    return _Piece.trusted(part, f"{log.where} (planned)", log.grid_map)
 
 
 def _simulated(
@@ -247,5 +256,5 @@ def _simulated(
     for table in tables.sensors:
         sensor = sensor_of(table)
         sensor.store(sensor.simulate(table, path, rng), dataset)
-    return RobotLog.trusted(dataset, piece.where, piece.grid_map), path
+    return _Piece.trusted(dataset, piece.where, piece.grid_map), path
 

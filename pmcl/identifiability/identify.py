@@ -181,14 +181,17 @@ def _information_of_drives(
 ) -> tuple[dict[Drive, Float], list[str]]:
     """Return the information of each drive per row, and what hindered any."""
     theta = transform.from_line(draws.moments()[0])[0]
+    if path.shape[1] < 3:
+        return {}, ["no drives were tried: the state of this model is no pose"]
     found: dict[Drive, Float] = {}
+    problems = []
     for drive in drives_for(log, path, sideways=_moves_sideways(log, model)):
         try:
             found[drive] = information_per_row(drive, log, path, model, theta, seed)
         except PmclError as error:
-            # A sensor that cannot be simulated, for example: then no drive can be tried.
-            return {}, [f"no drives were tried: {error}"]
-    return found, []
+            problems.append(str(error))
+    # A sensor that cannot be simulated, for example, lets no drive be tried.
+    return found, [] if found else [f"no drives were tried: {problems[0]}"]
 
 
 def _moves_sideways(log: RobotLog, model: RobotModel) -> bool:
