@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pmcl.models.model_file import read_model
     from pmcl.models.motion import Motion, register_motion
     from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise
+    from pmcl.models.motions.odometry.motion import Differential, Omni
     from pmcl.models.parameters import Parameter, gamma_prior
     from pmcl.models.part import BoundPart, Part
     from pmcl.models.robot_model import RobotModel, default_model
@@ -25,10 +26,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoundPart",
+    "Differential",
     "GrowingIncrementNoise",
     "IncrementNoise",
     "LandmarkNoise",
     "Motion",
+    "Omni",
     "Parameter",
     "Part",
     "RangeNoise",
@@ -46,10 +49,12 @@ __all__ = [
 
 _HOMES = {
     "BoundPart": "pmcl.models.part",
+    "Differential": "pmcl.models.motions.odometry.motion",
     "GrowingIncrementNoise": "pmcl.models.motions.increments.motion",
     "IncrementNoise": "pmcl.models.motions.increments.motion",
     "LandmarkNoise": "pmcl.models.sensors.landmarks.sensor",
     "Motion": "pmcl.models.motion",
+    "Omni": "pmcl.models.motions.odometry.motion",
     "Parameter": "pmcl.models.parameters",
     "Part": "pmcl.models.part",
     "RangeNoise": "pmcl.models.sensors.range_beams.sensor",
