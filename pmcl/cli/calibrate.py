@@ -12,6 +12,7 @@ from pmcl.cli.application import on_interrupt
 from pmcl.cli.method_options import MethodCommand, chosen_method
 from pmcl.cli.options import (
     effects_option,
+    map_option,
     output_option,
     progress_option,
     protect_inputs,
@@ -34,6 +35,7 @@ _COUNT = click.IntRange(min=1)
 @click.command(cls=MethodCommand, short_help="Draw from the posterior of a robot's noise parameters.")
 @click.argument("logs", metavar="LOG.nc...", nargs=-1, required=True)
 @output_option("The posterior to write (NetCDF, ArviZ).", required=False)
+@map_option()
 @click.option(
     "--model",
     "model_file",
@@ -62,6 +64,7 @@ def calibrate(
     /,
     logs: tuple[str, ...],
     output: Path | None,
+    map_file: str | None,
     model_file: str | None,
     print_model: bool,
     outliers: bool,
@@ -85,11 +88,13 @@ def calibrate(
         raise click.UsageError("--outliers is for the default model, which --model replaces: give one of the two", ctx)
     chosen = chosen_method(ctx, method, method_settings)
     if output is not None:
-        protect_inputs(ctx, output, (*logs, *([model_file] if model_file else [])))
+        protect_inputs(ctx, output, [path for path in (*logs, map_file, model_file) if path])
 
     from pmcl.logs.robot_log import RobotLog
+    from pmcl.maps.occupancy_grid import OccupancyGrid
 
-    robot_logs = [RobotLog.read(path) for path in logs]
+    grid = None if map_file is None else OccupancyGrid.read(map_file)
+    robot_logs = [RobotLog.read(path, grid) for path in logs]
     model = _model(model_file, robot_logs[0], outliers)
     if print_model:
         from pmcl.models.model_file import model_text

@@ -10,6 +10,7 @@ from pmcl import defaults
 from pmcl.cli.application import NOT_CONVERGED
 from pmcl.cli.options import (
     effects_option,
+    map_option,
     output_option,
     progress_option,
     protect_inputs,
@@ -42,6 +43,7 @@ __all__ = ["compare"]
     "--chains", type=click.IntRange(min=2), default=defaults.CHAINS, show_default=True,
     help="Number of chains.",
 )  # fmt: skip
+@map_option()
 @click.option("--model", "model_file", metavar="FILE.toml", help="Model file; without it the paper's model.")
 @effects_option()
 @seed_option()
@@ -55,6 +57,7 @@ def compare(
     output: Path,
     seconds: float,
     chains: int,
+    map_file: str | None,
     model_file: str | None,
     seed: int,
     no_progress: bool,
@@ -63,7 +66,7 @@ def compare(
 
     Exit status 3 when the reference run has not converged; the page is written all the same.
     """
-    protect_inputs(ctx, output, (log, *([model_file] if model_file else [])))
+    protect_inputs(ctx, output, [path for path in (log, map_file, model_file) if path])
     from pmcl.comparison.methods import parse_methods
 
     compared = parse_methods(methods)
@@ -72,7 +75,7 @@ def compare(
     from pmcl.models.model_file import read_model
     from pmcl.reports.comparison_report import comparison_text, comparison_verdict, write_comparison
 
-    robot_log = RobotLog.read(log)
+    robot_log = RobotLog.read(log, map_file)
     model = read_model(model_file, robot_log) if model_file else None
     progress = wants_progress(no_progress)
     comparison = run(robot_log, compared, model, seconds=seconds, chains=chains, seed=seed, progress=progress)

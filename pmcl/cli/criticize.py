@@ -9,7 +9,15 @@ from typing import Any
 import click
 
 from pmcl import defaults
-from pmcl.cli.options import effects_option, output_option, progress_option, protect_inputs, seed_option, writable_file
+from pmcl.cli.options import (
+    effects_option,
+    map_option,
+    output_option,
+    progress_option,
+    protect_inputs,
+    seed_option,
+    writable_file,
+)
 
 __all__ = ["criticize"]
 
@@ -41,6 +49,7 @@ __all__ = ["criticize"]
     callback=writable_file,
     help="Write the posterior of that model, for localize and report.",
 )
+@map_option()
 @click.option(
     "--model",
     "model_file",
@@ -69,6 +78,7 @@ def criticize(
     json_file: Path | None,
     better_model: Path | None,
     better_posterior: Path | None,
+    map_file: str | None,
     model_file: str | None,
     no_progress: bool,
     joint: bool,
@@ -77,7 +87,7 @@ def criticize(
     """Find where model and log disagree, name the missing effect, add it, and show the gap shrink."""
     outputs = [file for file in (output, json_file, better_model, better_posterior) if file is not None]
     for file in outputs:
-        protect_inputs(ctx, file, (log, *([model_file] if model_file else [])))
+        protect_inputs(ctx, file, [path for path in (log, map_file, model_file) if path])
     if len({file.resolve() for file in outputs}) < len(outputs):
         raise click.UsageError("expected different files for the outputs, but two have the same name: rename one", ctx)
     if better_posterior is not None and not joint:
@@ -90,12 +100,12 @@ def criticize(
     from pmcl.models.model_file import read_model
     from pmcl.reports.criticism_report import write_criticism_report
 
-    robot_log = RobotLog.read(log)
+    robot_log = RobotLog.read(log, map_file)
     model = read_model(model_file, robot_log) if model_file is not None else None
     found = run(
         robot_log, model, joint=joint, posterior=better_posterior is not None, progress=not no_progress, **settings
     )
-    commands = _next_commands(log, output, better_model, better_posterior)
+    commands = _next_commands(log, output, better_model, better_posterior, map_file)
     write_criticism_report(found, output, commands)
     if json_file is not None:
         found.write(json_file)
@@ -116,12 +126,14 @@ def criticize(
 
 
 def _next_commands(
-    log: str, page: Path, model: Path | None, posterior: Path | None
+    log: str, page: Path, model: Path | None, posterior: Path | None, map_file: str | None
 ) -> list[tuple[str, str]]:
     """Return what to do with the files that were written, or how to get them: purposes and commands."""
 
-    def command(*words: str | Path) -> str:
-        return shlex.join(["pmcl", *(str(word) for word in words)])
+    def command(name: str, *words: str | Path) -> str:
+        # Another drive is in the same surroundings; a report needs no map.
+        of_map = ["--map", map_file] if map_file and name != "report" else []
+        return shlex.join(["pmcl", name, *(str(word) for word in words), *of_map])
 
     commands = []
     if posterior is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmcl import defaults
-from pmcl.cli.options import effects_option, output_option, parameter_values, seed_option, writable_file
+from pmcl.cli.options import effects_option, map_option, output_option, parameter_values, seed_option, writable_file
 from pmcl.errors import PosteriorError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ _PARTICLES = click.IntRange(min=2)
     callback=parameter_values,
     help="Value of a parameter, used instead of what --method gives (may be repeated).",
 )
+@map_option()
 @click.option(
     "--model",
     "model_file",
@@ -84,6 +85,14 @@ _PARTICLES = click.IntRange(min=2)
     help="Write the poses as TUM text too (for evo).",
 )
 @click.option(
+    "--mcap",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    callback=writable_file,
+    help="Write poses, map and the end points of readings as an MCAP file too (for Foxglove and rerun; needs "
+    "pip install 'pmcl[ros]').",
+)
+@click.option(
     "--tum-reference",
     type=click.Path(path_type=Path),
     metavar="FILE",
@@ -99,25 +108,31 @@ def localize(
     posterior_file: str | None,
     method: str,
     theta: dict[str, float],
+    map_file: str | None,
     model_file: str | None,
     particles: int,
     start: str | None,
     seed: int,
     tum: Path | None,
+    mcap: Path | None,
     tum_reference: Path | None,
     **settings: Any,
 ) -> None:
     """Tell where a robot was at each row of its log, with the parameters that a calibration found."""
-    outputs = [path for path in (output, tum, tum_reference) if path is not None]
-    _protect(ctx, outputs, [path for path in (log_file, posterior_file, model_file) if path is not None])
+    outputs = [path for path in (output, tum, mcap, tum_reference) if path is not None]
+    _protect(ctx, outputs, [path for path in (log_file, map_file, posterior_file, model_file) if path is not None])
 
+    if mcap is not None:
+        from pmcl.exports.mcap_track import require_mcap, write_mcap
+
+        require_mcap()  # before the filter runs
     from pmcl.localization.offline import localize as run
     from pmcl.localization.options import FilterOptions
     from pmcl.localization.tum import write_tum
     from pmcl.logs.robot_log import RobotLog
     from pmcl.posterior.files import read_posterior
 
-    log = RobotLog.read(log_file)
+    log = RobotLog.read(log_file, map_file)
     if tum_reference is not None and log.true_poses is None:
         raise click.UsageError(f"--tum-reference: the log {log_file} has no reference trajectory: leave it out", ctx)
     posterior = None if posterior_file is None else read_posterior(posterior_file)
@@ -132,6 +147,8 @@ def localize(
     track.write(output)
     if tum is not None:
         track.write_tum(tum)
+    if mcap is not None:
+        write_mcap(mcap, track, log)
     if tum_reference is not None and log.true_poses is not None:
         write_tum(tum_reference, log.times, log.true_poses)
     _print_summary(track)

@@ -13,6 +13,7 @@ import click
 
 __all__ = [
     "effects_option",
+    "map_option",
     "output_folder",
     "output_option",
     "parameter_values",
@@ -103,6 +104,17 @@ def _use_effects(ctx: click.Context, param: click.Parameter, paths: tuple[str, .
 
         for path in paths:
             ctx.with_resource(use_effects(read_effects(path)))
+
+
+def map_option() -> Callable[[Command], Command]:
+    """Return the option ``--map``, which the command gets as ``map_file``."""
+    return click.option(
+        "--map",
+        "map_file",
+        metavar="MAP.yaml",
+        help="Grid map of the surroundings: the YAML file of a map_server map, whose image lies beside it.  [default: "
+        "the map that the log names, if it names one]",
+    )
 
 
 def seed_option(default: int = 0) -> Callable[[Command], Command]:

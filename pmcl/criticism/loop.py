@@ -20,7 +20,8 @@ from pmcl.criticism.findings.assemble import (
     unexplained_of,
     with_estimates_of,
 )
-from pmcl.criticism.findings.result import Criticism, FoundEffect, JudgedFit, Step
+from pmcl.criticism.findings.parts import FoundEffect, Step
+from pmcl.criticism.findings.result import Criticism, JudgedFit
 from pmcl.criticism.findings.verdict import sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import gap_of

@@ -146,4 +146,4 @@ def with_estimates(log: RobotLog, tables: Tables, path: Float) -> RobotLog:
         if along and "beam" in log.dataset.dims:
             found |= {f"estimated_{name}": (("time", "beam"), values) for name, values in along.items()}
             break
-    return RobotLog.trusted(log.dataset.assign(found), log.where)
+    return RobotLog.trusted(log.dataset.assign(found), log.where, log.grid_map)

@@ -37,7 +37,8 @@ class RecentRows(RobotLog):
 
     def __init__(self, robot: RobotLog, memory: int) -> None:
         values: dict[str, object] = {"dataset": robot.dataset, "where": robot.where, "_memory": memory, "_seen": 0}
-        shapes = {name: robot.dataset[name].shape[1:] for name in readings() if name in robot.dataset}
+        values["grid_map"] = robot.grid_map
+        shapes = {name: robot.dataset[name].shape[1:] for name in readings(robot.dataset) if name in robot.dataset}
         values["_rows"] = {name: np.empty((0, *shape)) for name, shape in {"odometry": (3,), **shapes}.items()}
         values["_times"] = np.empty(0)
         for name, value in values.items():
@@ -112,7 +113,7 @@ class RecentRows(RobotLog):
         if found.shape != shape:
             size = int(np.prod(shape))
             raise LogError(f"{what}: expected {size} numbers in '{name}', but got shape {found.shape}; NaN is missing")
-        declared = variables()[name]
+        declared = variables(self.dataset)[name]
         wrong = np.zeros(shape, dtype=bool) if declared.may_be_infinite else np.isinf(found)
         if declared.minimum is not None:
             wrong |= found < declared.minimum
@@ -127,7 +128,7 @@ class RecentRows(RobotLog):
         """Return the number of readings of the latest row."""
         total = 0
         for sensor in sensor_variables().values():
-            held = {name: self._rows[name][-1:] for name in sensor.readings() if name in self._rows}
+            held = {name: self._rows[name][-1:] for name in sensor.readings(self._rows) if name in self._rows}
             if held:
                 total += int(sensor.count(held)[0])
         return total
@@ -161,5 +162,5 @@ class RecentRows(RobotLog):
         if name in self._rows:
             return self._rows[name]
         # What belongs to the rows of the log that was given belongs to no row here.
-        declared = variables().get(name)
+        declared = variables([name]).get(name)
         return None if declared is not None and "time" in declared.dims else super()._optional(name)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pmcl.logs.arrays import LidarScans
     from pmcl.logs.barfoot import read_barfoot
     from pmcl.logs.camera import sightings_from_camera
     from pmcl.logs.mrclam import read_mrclam
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pmcl.logs.streams import beam_rows, landmark_rows, row_times
 
 __all__ = [
+    "LidarScans",
     "RobotLog",
     "Variable",
     "beam_rows",
@@ -36,6 +38,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "LidarScans": "pmcl.logs.arrays",
     "RobotLog": "pmcl.logs.robot_log",
     "Variable": "pmcl.logs.schema",
     "read_barfoot": "pmcl.logs.barfoot",

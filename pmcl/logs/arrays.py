@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,12 +14,36 @@ from numpy.typing import NDArray
 
 from pmcl.logs.schema import FORMAT, REFERENCE, variables
 from pmcl.maps.landmarks import LandmarkMap
+from pmcl.maps.occupancy_grid import OccupancyGrid
 from pmcl.maps.walls import WallMap
 from pmcl.registry import sensor_variables
 
-__all__ = ["LogArrays", "landmark_names"]
+__all__ = ["LidarScans", "LogArrays", "landmark_names"]
 
 Float = NDArray[np.float64]
+
+
+class LidarScans(NamedTuple):
+    """The scans of one lidar. T is the number of samples, R of rays.
+
+    Attributes
+    ----------
+    ranges : ndarray, shape (T, R)
+        Distances along the rays [m]; NaN not measured, inf or >= `max_range` no echo.
+    angles : ndarray, shape (R,)
+        Direction of each ray in the laser's frame [rad], strictly increasing or decreasing.
+    min_range, max_range : float
+        Shortest and longest range of the laser [m].
+    pose : ndarray, shape (3,)
+        Where the laser sits on the robot (x, y, yaw) [m, m, rad]. One that is mounted upside down has decreasing
+        angles, which are its directions seen from above.
+    """
+
+    ranges: Float
+    angles: Float
+    min_range: float
+    max_range: float
+    pose: Float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,10 +58,13 @@ class LogArrays:
         The log in the file format; :class:`~pmcl.logs.robot_log.RobotLog` validates it.
     where : str
         File or call that it came from, for messages.
+    grid_map : OccupancyGrid or None
+        The grid map of the surroundings; shared by all logs that are made from this one.
     """
 
     dataset: xr.Dataset
     where: str = "robot log"
+    grid_map: OccupancyGrid | None = None
     is_whole: ClassVar[bool] = True
     """Whether these are all rows of a log; the latest rows of a robot that is still running are not."""
 
@@ -59,7 +86,7 @@ class LogArrays:
         """Return the number of readings of all sensors in each row, (T,)."""
         total = np.zeros(self.n_steps, dtype=np.int64)
         for sensor in sensor_variables().values():
-            held = {name: self.variable(name) for name in sensor.readings()}
+            held = {name: self.variable(name) for name in sensor.readings(self.dataset)}
             held = {name: values for name, values in held.items() if values is not None}
             if held:
                 total += sensor.count(held)
@@ -154,6 +181,23 @@ class LogArrays:
         pose = self._optional("landmark_sensor_pose")
         return _frozen(np.zeros(3)) if pose is None else pose
 
+    @property
+    def lidars(self) -> dict[str, LidarScans]:
+        """The scans of each lidar, by its name; the name is empty for a lidar whose variable is plainly ``scan``."""
+        found: dict[str, LidarScans] = {}
+        for name in sensor_variables()["lidar"].readings(self.dataset):
+            ranges = self._optional(name)
+            if ranges is None:
+                continue
+            label = name.removeprefix("scan").removeprefix("_")
+            angles = self._optional(f"scan_angle_{label}" if label else "scan_angle")
+            attrs = self.dataset[name].attrs
+            assert angles is not None
+            found[label] = LidarScans(
+                ranges, angles, float(attrs["min_range"]), float(attrs["max_range"]), _frozen(np.array(attrs["pose"]))
+            )
+        return found
+
     @cached_property
     def landmarks(self) -> LandmarkMap | None:
         """The landmark map; None when the log has none."""
@@ -199,12 +243,12 @@ class LogArrays:
         return self._optional(f"estimated_{name}")
 
     def fingerprint(self) -> str:
-        """SHA-256 of all numbers that calibration sees, in hexadecimal.
+        """SHA-256 of all numbers that calibration sees, those of the grid map included, in hexadecimal.
 
         Equal for two logs exactly when calibration cannot tell them apart: names, notes, the reference trajectory,
         the true parameters, the seed and the ignored odometry of row 0 do not count.
         """
-        names = [name for name in variables() if name in self.dataset and name not in REFERENCE]
+        names = [name for name in variables(self.dataset) if name in self.dataset and name not in REFERENCE]
         seen = {name: self.dataset[name].values for name in names}
         seen["odometry"] = self.odometry
         for sensor in sensor_variables().values():
@@ -214,6 +258,8 @@ class LogArrays:
             # One spelling for every NaN and for both zeros.
             plain = np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8")
             digest.update(f"{name}{plain.shape}".encode() + plain.tobytes())
+        if self.grid_map is not None:
+            digest.update(self.grid_map.fingerprint().encode())
         return digest.hexdigest()
 
     def _optional(self, name: str) -> Float | None:

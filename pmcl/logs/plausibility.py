@@ -61,11 +61,16 @@ def implausible(log: LogArrays) -> tuple[Finding, ...]:
 
 
 def without_map(log: LogArrays) -> tuple[Finding, ...]:
-    """Return a finding when range readings have no walls and no grid map is named beside the log."""
-    if log.ranges is None or log.walls is not None or "map" in log.dataset.attrs:
-        return ()
-    text = "range readings have no map: give walls, or a grid map beside the log when it is used"
-    return (Finding("no-walls", "implausible", False, text),)
+    """Return findings when range readings have no walls, or scans no grid map, and no map is named beside the log."""
+    found = []
+    if "map" not in log.dataset.attrs:
+        if log.ranges is not None and log.walls is None:
+            text = "range readings have no map: give the walls before the log is used"
+            found.append(Finding("no-walls", "implausible", False, text))
+        if log.lidars and log.grid_map is None:
+            text = "scans have no map: give a grid map beside the log when it is used"
+            found.append(Finding("no-grid-map", "implausible", False, text))
+    return tuple(found)
 
 
 def _moves(log: LogArrays) -> tuple[Float, Float, Float]:

@@ -13,15 +13,17 @@ from numpy.typing import ArrayLike
 
 from pmcl.checks import MOST_COUNT, check_path, check_seed, check_type, check_whole
 from pmcl.errors import LogError, MapError, did_you_mean
-from pmcl.logs.arrays import LogArrays
+from pmcl.logs.arrays import LidarScans, LogArrays
 from pmcl.logs.assemble import assemble
 from pmcl.logs.finding import warn_of
+from pmcl.logs.grid_map import check_start_on_map, map_named_by, map_to_name
 from pmcl.logs.netcdf import read_dataset, write_dataset
 from pmcl.logs.plausibility import implausible, without_map
 from pmcl.logs.schema import REFERENCE
 from pmcl.logs.schema import variables as format_variables
 from pmcl.logs.validation import fail, validated
 from pmcl.maps.landmarks import LandmarkMap
+from pmcl.maps.occupancy_grid import OccupancyGrid
 from pmcl.maps.walls import WallMap
 
 __all__ = ["RobotLog"]
@@ -40,22 +42,28 @@ class RobotLog(LogArrays):
         The log in the file format, a validated copy of what was given.
     where : str
         File or call that it came from, for messages.
+    grid_map : OccupancyGrid or None
+        The grid map, which lidars need. All logs that are made from this one share it.
 
     Raises
     ------
     LogError, MapError
-        When the dataset does not follow the format.
+        When the dataset does not follow the format, or the start is not on the grid map.
     """
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dataset", validated(self.dataset, self.where))
+        if self.grid_map is not None:
+            check_start_on_map(self.dataset, self.grid_map, self.where)
 
     def __repr__(self) -> str:
         name = self.robot or "unnamed robot"
         return f"<RobotLog of {name}: {self.n_steps} samples, {self.n_readings} readings, from {self.where}>"
 
     @classmethod
-    def from_dataset(cls, dataset: xr.Dataset, where: str = "dataset") -> RobotLog:
+    def from_dataset(
+        cls, dataset: xr.Dataset, where: str = "dataset", grid_map: OccupancyGrid | None = None
+    ) -> RobotLog:
         """Validate a dataset in the file format.
 
         Parameters
@@ -64,6 +72,8 @@ class RobotLog(LogArrays):
             A log in the file format.
         where : str
             What it is called in messages.
+        grid_map : OccupancyGrid, optional
+            The grid map.
 
         Returns
         -------
@@ -74,10 +84,10 @@ class RobotLog(LogArrays):
         LogError, MapError
             When it does not follow the format.
         """
-        return cls(dataset, where)
+        return cls(dataset, where, grid_map)
 
     @classmethod
-    def trusted(cls, dataset: xr.Dataset, where: str) -> RobotLog:
+    def trusted(cls, dataset: xr.Dataset, where: str, grid_map: OccupancyGrid | None) -> RobotLog:
         """Take a dataset as it is: one that was made from a validated one, with values that are valid by their making.
 
         Simulations of a log are made by the hundred, and checking them all would take longer than making them.
@@ -88,6 +98,8 @@ class RobotLog(LogArrays):
             A log in the file format, with the types and the order of dimensions of a validated one.
         where : str
             What it is called in messages.
+        grid_map : OccupancyGrid or None
+            The grid map of the log that the dataset was made from.
 
         Returns
         -------
@@ -96,17 +108,64 @@ class RobotLog(LogArrays):
         log = object.__new__(cls)
         object.__setattr__(log, "dataset", dataset)
         object.__setattr__(log, "where", where)
+        object.__setattr__(log, "grid_map", grid_map)
         return log
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> RobotLog:
-        """Read a NetCDF file; raises LogError or MapError when it is missing, damaged or not a valid log."""
+    def read(
+        cls, path: str | os.PathLike[str], map: str | os.PathLike[str] | OccupancyGrid | None = None
+    ) -> RobotLog:
+        """Read a log from its NetCDF file, and its grid map.
+
+        Parameters
+        ----------
+        path : path
+            The log.
+        map : path or OccupancyGrid, optional
+            The YAML file of a map_server map, or a grid. Without it, the map is the one that the log names in its
+            attribute ``map``, a path relative to the log that stays in its folder; a log that names none has none.
+
+        Returns
+        -------
+        RobotLog
+
+        Raises
+        ------
+        LogError, MapError
+            When a file is missing or damaged, or the log is not valid.
+        """
         path = check_path("path", path, error=LogError)
-        return cls(read_dataset(path), path)
+        dataset = read_dataset(path)
+        if isinstance(map, OccupancyGrid):
+            grid: OccupancyGrid | None = map
+        else:
+            grid = map_named_by(dataset, path) if map is None else OccupancyGrid.read(map)
+        return cls(dataset, path, grid)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a NetCDF file, all or nothing; raises LogError and leaves an existing file as it was when it cannot."""
-        write_dataset(self.dataset, check_path("path", path, error=LogError))
+        """Write a NetCDF file, all or nothing.
+
+        A grid map stays in its own files. The log names it in its attribute ``map`` when it was read from a file in the
+        folder of the log or below; else the log names none, and the map is given again when the log is read.
+
+        Parameters
+        ----------
+        path : path
+            Target; replaced when it exists.
+
+        Raises
+        ------
+        LogError
+            When it cannot be written. An existing file is left as it was.
+        """
+        path = check_path("path", path, error=LogError)
+        dataset = self.dataset
+        if self.grid_map is not None:
+            dataset = dataset.copy()
+            name = map_to_name(self.grid_map, path)
+            dataset.attrs = {key: value for key, value in dataset.attrs.items() if key != "map"}
+            dataset.attrs |= {} if name is None else {"map": name}
+        write_dataset(dataset, path)
 
     @classmethod
     def build(
@@ -125,6 +184,8 @@ class RobotLog(LogArrays):
         landmark_sensor_pose: ArrayLike | None = None,
         landmarks: LandmarkMap | ArrayLike | None = None,
         walls: WallMap | ArrayLike | None = None,
+        lidars: Mapping[str, LidarScans] | None = None,
+        grid_map: OccupancyGrid | None = None,
         variables: Mapping[str, ArrayLike | None] | None = None,
         start_mean: ArrayLike | None = None,
         start_std: ArrayLike | None = None,
@@ -163,6 +224,10 @@ class RobotLog(LogArrays):
             Landmark map [m]; needed with landmark readings.
         walls : WallMap or array_like, shape (W, 2, 2), optional
             Segment map [m].
+        lidars : mapping of str to LidarScans, optional
+            The scans of each lidar by its name, empty for the only one.
+        grid_map : OccupancyGrid, optional
+            Grid map, which lidars need.
         variables : mapping of str to array_like, optional
             Variables of further registered sensors, by their names in the file and with the shapes and units that the
             sensor declares; None leaves one out.
@@ -182,8 +247,8 @@ class RobotLog(LogArrays):
             The caller, for messages.
         warn : bool, optional
             Whether to warn (logger ``pmcl.preflight``) of what is implausible in the numbers themselves:
-            :func:`~pmcl.logs.plausibility.implausible`; and of range readings without walls, which are in order when
-            a grid map is given beside the log.
+            :func:`~pmcl.logs.plausibility.implausible`; and of readings without a map, which are in order when one is
+            given later.
 
         Returns
         -------
@@ -199,7 +264,9 @@ class RobotLog(LogArrays):
         pmcl.logs.odometry_from_poses, pmcl.logs.odometry_from_velocities : The column `odometry`.
         pmcl.logs.row_times, pmcl.logs.landmark_rows, pmcl.logs.beam_rows : Rows from streams with clocks of their own.
         """
-        mappings = (("true_theta", true_theta), ("attributes", attributes), ("variables", variables))
+        mappings = (
+            ("true_theta", true_theta), ("attributes", attributes), ("variables", variables), ("lidars", lidars)
+        )  # fmt: skip
         for name, given in mappings:
             if given is not None:
                 check_type(name, given, Mapping, error=LogError, advice="write a dict with texts as keys")
@@ -229,6 +296,8 @@ class RobotLog(LogArrays):
             "true_pose": true_poses,
         }
         arrays |= _of_further_sensors(variables or {}, arrays, where)
+        of_lidars = _of_lidars(lidars or {}, where)
+        arrays |= {name: values for name, (values, _) in of_lidars.items()}
         theta = None if true_theta is None else json.dumps(dict(true_theta), default=_number)
         stated = {
             "robot": robot,
@@ -238,15 +307,17 @@ class RobotLog(LogArrays):
             "max_range": max_range,
             "size_at_one_metre": size_at_one_metre,
         }
-        log = cls(assemble(arrays, {**(attributes or {}), **stated}, where, names), where)
+        attributes_of = {name: attrs for name, (_, attrs) in of_lidars.items()}
+        dataset = assemble(arrays, {**(attributes or {}), **stated}, where, names, attributes_of)
+        log = cls(dataset, where, grid_map)
         if warn:
             # Arrays of its own, so that the log's are not made before they are asked for.
-            arrays_of_log = LogArrays(log.dataset, where)
+            arrays_of_log = LogArrays(log.dataset, where, grid_map)
             warn_of((*implausible(arrays_of_log), *without_map(arrays_of_log)), where)
         return log
 
     def require_map(self) -> None:
-        """Check that ranges can be explained by a map in the log; not needed when a grid map is given beside it.
+        """Check that the log's walls can explain the readings of its range beams; beams do not use a grid map.
 
         Raises
         ------
@@ -254,10 +325,52 @@ class RobotLog(LogArrays):
             When there are range readings but no walls.
         """
         if "range" in self.dataset and "wall" not in self.dataset:
+            advice = "add the walls"
+            if self.grid_map is not None:
+                advice += ", or write the readings as those of a lidar (variables 'scan' and 'scan_angle')"
             raise MapError(
-                f"{self.where}: expected walls (variable 'wall') or a grid map for the range readings, got neither: "
-                "add the walls, or give a map beside the log"
+                f"{self.where}: expected walls (variable 'wall') for the range readings, got none: {advice}"
             )
+
+    def require_grid_map(self) -> OccupancyGrid:
+        """Return the grid map.
+
+        Returns
+        -------
+        OccupancyGrid
+
+        Raises
+        ------
+        MapError
+            When the log has none.
+        """
+        if self.grid_map is None:
+            raise MapError(
+                f"{self.where}: expected a grid map for the lidar, got none: give one with --map MAP.yaml (in Python: "
+                "RobotLog.read(path, map=...) or log.with_map(grid)), or name it in the log's attribute 'map'"
+            )
+        return self.grid_map
+
+    def with_map(self, grid_map: OccupancyGrid | None) -> RobotLog:
+        """Return the same log with another grid map, or with none.
+
+        Parameters
+        ----------
+        grid_map : OccupancyGrid or None
+            The map.
+
+        Returns
+        -------
+        RobotLog
+
+        Raises
+        ------
+        LogError, MapError
+            When it is no grid map, or the start is not on it.
+        """
+        if grid_map is not None:
+            check_start_on_map(self.dataset, grid_map, self.where)
+        return RobotLog.trusted(self.dataset, self.where, grid_map)
 
     def select(
         self,
@@ -298,20 +411,20 @@ class RobotLog(LogArrays):
             part = part.assign(start_mean=belief["start_mean"], start_std=belief["start_std"])
         elif start != 0:
             part = part.assign(start_mean=("pose", np.zeros(3)), start_std=("pose", np.full(3, np.inf)))
-        return RobotLog(part, f"{self.where}[{start}:{stop}]")
+        return RobotLog(part, f"{self.where}[{start}:{stop}]", self.grid_map)
 
     def without_truth(self) -> RobotLog:
         """Return the same log without reference trajectory, true parameters, simulated effects and seed."""
         bare = self.dataset.drop_vars(list(REFERENCE), errors="ignore")
         bare.attrs = {key: value for key, value in bare.attrs.items() if key not in ("true_theta", "effects", "seed")}
-        return RobotLog.trusted(bare, self.where)
+        return RobotLog.trusted(bare, self.where, self.grid_map)
 
 
 def _of_further_sensors(
     given: Mapping[str, ArrayLike | None], arguments: Mapping[str, object], where: str
 ) -> dict[str, ArrayLike | None]:
     """Check the names in the argument `variables`: those of registered sensors that no other argument sets."""
-    known = [name for name in format_variables() if name not in arguments]
+    known = [name for name in format_variables(given) if name not in arguments]
     for name in given:
         if name in arguments:
             fail(where, f"expected '{name}' as an argument of its own, got it in 'variables': move it")
@@ -319,6 +432,21 @@ def _of_further_sensors(
             advice = did_you_mean(name, known, "install the package of its sensor, or register it with register_sensor")
             fail(where, f"expected variables of registered sensors, got '{name}': {advice}")
     return dict(given)
+
+
+def _of_lidars(
+    lidars: Mapping[str, LidarScans], where: str
+) -> dict[str, tuple[ArrayLike, dict[str, object]]]:
+    """Return variables of the format, each with its attributes, from the scans of lidars by name."""
+    found: dict[str, tuple[ArrayLike, dict[str, object]]] = {}
+    for label, laser in lidars.items():
+        check_type(f"lidars[{label!r}]", laser, LidarScans, error=LogError, advice="write pmcl.logs.LidarScans(...)")
+        scan, angle = (f"{name}_{label}" if label else name for name in ("scan", "scan_angle"))
+        if scan not in format_variables([scan]) or scan == "scan_angle" or scan.startswith("scan_angle_"):
+            fail(where, f"expected names of lidars of letters, digits and '_', got {label!r:.40}: rename the lidar")
+        reach = {"min_range": laser.min_range, "max_range": laser.max_range, "pose": laser.pose}
+        found[scan], found[angle] = (laser.ranges, reach), (laser.angles, {})
+    return found
 
 
 def _number(value: object) -> float | str:

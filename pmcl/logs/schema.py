@@ -5,6 +5,8 @@ Every log has the variables that are declared here; each sensor declares its own
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from pmcl.registry import sensor_variables
@@ -14,6 +16,7 @@ __all__ = [
     "LABELS",
     "REFERENCE",
     "Variable",
+    "named",
     "plural_of",
     "readings",
     "variables",
@@ -28,7 +31,7 @@ class Variable(NamedTuple):
     Attributes
     ----------
     dims : tuple of str
-        Dimensions, in the order in which pmcl stores them.
+        Dimensions, in the order in which pmcl stores them. Those of a pattern (:func:`named`) may hold ``{name}``.
     units : str
         One unit, or one for each component of the last axis.
     long_name : str
@@ -55,6 +58,39 @@ class Variable(NamedTuple):
     plural: str = ""
 
 
+# Where a pattern such as "scan_{name}" has the name, and what such a name is.
+_SLOT, _NAME = "{name}", r"[A-Za-z0-9_]+"
+
+
+def named(declared: Mapping[str, Variable], name: str) -> Variable | None:
+    """Return what is declared for a name in a log: for itself, or by a pattern that it matches.
+
+    A sensor of which a robot may have several declares a pattern: ``"scan_{name}"`` stands for ``scan_front`` as well
+    as ``scan_rear``. An exact name comes first, then the longest pattern that matches.
+
+    Parameters
+    ----------
+    declared : mapping of str to Variable
+        By names and patterns.
+    name : str
+        The name of a variable in a log.
+
+    Returns
+    -------
+    Variable or None
+        Of a pattern, with the name put into its dimensions.
+    """
+    if name in declared and _SLOT not in name:
+        return declared[name]
+    for pattern in sorted((key for key in declared if _SLOT in key), key=len, reverse=True):
+        before, after = pattern.split(_SLOT)
+        match = re.fullmatch(re.escape(before) + f"({_NAME})" + re.escape(after), name)
+        if match:
+            found = declared[pattern]
+            return found._replace(dims=tuple(dim.replace(_SLOT, match[1]) for dim in found.dims))
+    return None
+
+
 _GENERAL: dict[str, Variable] = {
     "time": Variable(("time",), "s", "sample times"),
     "odometry": Variable(("time", "increment"), "m, m, rad", "displacement from the previous sample, in its frame"),
@@ -65,28 +101,44 @@ _GENERAL: dict[str, Variable] = {
 }
 
 
-def variables() -> dict[str, Variable]:
+def variables(held: Iterable[object] = ()) -> dict[str, Variable]:
     """Return all variables of the format: those of every log, and those of each registered sensor.
+
+    Parameters
+    ----------
+    held : iterable of str
+        Names of variables in a log (a dataset will do): those that match the pattern of a sensor are returned too.
 
     Returns
     -------
     dict of str to Variable
         In the order in which checks and files name them.
     """
+    names = [str(name) for name in held]
     of_sensors: dict[str, Variable] = {}
     for sensor in sensor_variables().values():
-        of_sensors |= sensor.variables
+        of_sensors |= sensor.declared(names)
     return {"time": _GENERAL["time"], "odometry": _GENERAL["odometry"], **of_sensors, **_GENERAL}
 
 
-def readings() -> tuple[str, ...]:
-    """Return the names of the variables that read the world; a log holds at least one of them."""
-    return tuple(name for name, variable in variables().items() if variable.is_reading)
+def readings(held: Iterable[object] = ()) -> tuple[str, ...]:
+    """Return the names of the variables that read the world; a log holds at least one of them.
+
+    Parameters
+    ----------
+    held : iterable of str
+        As for :func:`variables`.
+
+    Returns
+    -------
+    tuple of str
+    """
+    return tuple(name for name, variable in variables(held).items() if variable.is_reading)
 
 
 def plural_of(name: str) -> str:
     """Return what several readings of a variable are called, e.g. "landmark bearings"."""
-    declared = variables().get(name)
+    declared = variables([name]).get(name)
     return (declared.plural if declared is not None else "") or f"{name.replace('_', ' ')}s"
 
 

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.logs.finding import Finding
-from pmcl.logs.schema import Variable
+from pmcl.logs.schema import Variable, named
 
 if TYPE_CHECKING:
     from pmcl.logs.arrays import LogArrays
@@ -46,14 +46,39 @@ class SensorVariables:
     ----------
     variables : mapping of str to Variable
         The variables that it has in a log, by their names in the file.
+    patterns : mapping of str to Variable
+        Variables of sensors of which a robot may have several, each with a name, by patterns such as
+        ``"scan_{name}"``; see :func:`pmcl.logs.schema.named`.
     """
 
     variables: ClassVar[Mapping[str, Variable]] = {}
+    patterns: ClassVar[Mapping[str, Variable]] = {}
 
     @classmethod
-    def readings(cls) -> tuple[str, ...]:
-        """Return the names of the variables that hold readings."""
-        return tuple(name for name, variable in cls.variables.items() if variable.is_reading)
+    def declared(cls, held: Iterable[object] = ()) -> dict[str, Variable]:
+        """Return the sensor's variables: those that have a fixed name, and those of `held` that match a pattern.
+
+        Parameters
+        ----------
+        held : iterable of str
+            Names of variables in a log.
+
+        Returns
+        -------
+        dict of str to Variable
+        """
+        found = dict(cls.variables)
+        if cls.patterns:
+            for name in map(str, held):
+                variable = None if name in found else named(cls.patterns, name)
+                if variable is not None:
+                    found[name] = variable
+        return found
+
+    @classmethod
+    def readings(cls, held: Iterable[object] = ()) -> tuple[str, ...]:
+        """Return the names of the variables that hold readings; `held` is that of :meth:`declared`."""
+        return tuple(name for name, variable in cls.declared(held).items() if variable.is_reading)
 
     @classmethod
     def check(cls, dataset: xr.Dataset, where: str) -> None:
@@ -120,7 +145,7 @@ class SensorVariables:
         iterable of ReadingSeries
             By default one for each column of each variable that holds readings.
         """
-        for name in cls.readings():
+        for name in cls.readings(log.dataset):
             values = log.variable(name)
             if values is None:
                 continue

@@ -77,11 +77,11 @@ def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
         fail(where, f"expected a robot log with attribute format = {FORMAT!r}, got {got}: convert it with pmcl convert")
     dataset = _canonical(dataset, where)
     _check_time_and_odometry(dataset, where)
-    names = readings()
+    names = readings(dataset)
     if not any(name in dataset for name in names):
         fail(where, f"expected at least one of {', '.join(names)}, got none: add what the sensors measured")
     for sensor in sensor_variables().values():
-        _check_readings(dataset, sensor.variables, where)
+        _check_readings(dataset, sensor.declared(dataset), where)
         sensor.check(dataset, where)
     walls = _checked_walls(dataset, where)
     _check_start(dataset, walls, where)
@@ -95,7 +95,7 @@ def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
         given = [str(label) for label in dataset[dim].values] if dim in dataset.coords else []
         if given != list(labels) and sorted(given) == sorted(labels):
             dataset = dataset.isel({dim: [given.index(label) for label in labels]})
-    known = variables()
+    known = variables(dataset)
     for name in ("time", "odometry"):
         if name not in dataset.variables:
             fail(where, f"expected variable '{name}' ({', '.join(known[name].dims)}), got none: add it")
@@ -103,6 +103,7 @@ def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
         if name not in dataset.variables:
             continue
         found = dataset[name]
+        found = _renamed(found, variable)
         sizes = {dim: len(LABELS[dim]) for dim in variable.dims if dim in LABELS}
         if set(found.dims) != set(variable.dims) or any(found.sizes[dim] != size for dim, size in sizes.items()):
             declared = ", ".join(f"{dim}={sizes[dim]}" if dim in sizes else dim for dim in variable.dims)
@@ -117,6 +118,13 @@ def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
         dataset[name] = (variable.dims, values, found.attrs)
     present = {dim: list(labels) for dim, labels in LABELS.items() if dim in dataset.dims}
     return dataset.set_coords("time").assign_coords(present)
+
+
+def _renamed(found: xr.DataArray, variable: Variable) -> xr.DataArray:
+    """Give a variable of a pattern the dimensions of its own: files may call each sensor's rays plainly ``ray``."""
+    plain = {dim: own for dim in map(str, found.dims) for own in variable.dims if own.startswith(f"{dim}_")}
+    missing = set(variable.dims) - set(found.dims)
+    return found.rename({dim: own for dim, own in plain.items() if own in missing and dim not in variable.dims})
 
 
 def _check_time_and_odometry(dataset: xr.Dataset, where: str) -> None:
@@ -214,7 +222,8 @@ def require_finite(dataset: xr.Dataset, name: str, where: str) -> None:
     if len(bad):
         at = tuple(int(i) for i in bad[0])
         index = ", ".join(str(i) for i in at)
-        fail(where, f"expected finite '{name}' [{variables()[name].units}], got {values[at]} at [{index}]: correct it")
+        unit = variables(dataset)[name].units
+        fail(where, f"expected finite '{name}' [{unit}], got {values[at]} at [{index}]: correct it")
 
 
 def _check_readings(dataset: xr.Dataset, declared: Mapping[str, Variable], where: str) -> None:

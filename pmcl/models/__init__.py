@@ -17,24 +17,31 @@ if TYPE_CHECKING:
     from pmcl.models.motions.odometry.motion import Differential, Omni
     from pmcl.models.parameters import Parameter, gamma_prior
     from pmcl.models.part import BoundPart, Part
+    from pmcl.models.quick import ChannelReading, Misreading, QuickReadings, ReadAs
     from pmcl.models.robot_model import RobotModel, default_model
     from pmcl.models.sensor import ReadingIndex, Sensor, register_sensor
     from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+    from pmcl.models.sensors.lidar.sensor import Lidar
     from pmcl.models.sensors.range_beams.sensor import RangeNoise
     from pmcl.models.starts.belief import StartBelief
     from pmcl.models.tables import Tables
 
 __all__ = [
     "BoundPart",
+    "ChannelReading",
     "Differential",
     "GrowingIncrementNoise",
     "IncrementNoise",
     "LandmarkNoise",
+    "Lidar",
+    "Misreading",
     "Motion",
     "Omni",
     "Parameter",
     "Part",
+    "QuickReadings",
     "RangeNoise",
+    "ReadAs",
     "ReadingIndex",
     "RobotModel",
     "Sensor",
@@ -49,15 +56,20 @@ __all__ = [
 
 _HOMES = {
     "BoundPart": "pmcl.models.part",
+    "ChannelReading": "pmcl.models.quick",
     "Differential": "pmcl.models.motions.odometry.motion",
     "GrowingIncrementNoise": "pmcl.models.motions.increments.motion",
     "IncrementNoise": "pmcl.models.motions.increments.motion",
     "LandmarkNoise": "pmcl.models.sensors.landmarks.sensor",
+    "Lidar": "pmcl.models.sensors.lidar.sensor",
+    "Misreading": "pmcl.models.quick",
     "Motion": "pmcl.models.motion",
     "Omni": "pmcl.models.motions.odometry.motion",
     "Parameter": "pmcl.models.parameters",
     "Part": "pmcl.models.part",
+    "QuickReadings": "pmcl.models.quick",
     "RangeNoise": "pmcl.models.sensors.range_beams.sensor",
+    "ReadAs": "pmcl.models.quick",
     "ReadingIndex": "pmcl.models.sensor",
     "RobotModel": "pmcl.models.robot_model",
     "Sensor": "pmcl.models.sensor",

@@ -7,6 +7,7 @@ compiled functions of a table of its own are registered with :mod:`pmcl.engine.c
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
@@ -20,7 +21,7 @@ __all__ = ["Motion", "motions", "register_motion"]
 _Class = TypeVar("_Class", bound=type)
 
 
-class Motion:
+class Motion(ABC):
     """A motion model; a class derives from it for each kind of motion, and can be made without arguments.
 
     Attributes
@@ -32,13 +33,13 @@ class Motion:
     summary: ClassVar[str] = ""
 
     @property
+    @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """The motion's parameters, in the order in which its table function takes them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def bind(self, log: RobotLog) -> BoundPart:
         """Prepare for one log; raises ModelError when the log lacks what the motion needs."""
-        raise NotImplementedError
 
 
 def motions() -> dict[str, Any]:

@@ -8,7 +8,8 @@ localization, the critic, reports) asks the class and knows no sensor by name.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from pmcl.logs.arrays import LogArrays
 from pmcl.logs.sensor_variables import SensorVariables
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import BoundPart
+from pmcl.models.quick import QuickReadings
 from pmcl.registry import SENSORS, register, registered
 
 __all__ = ["ReadingIndex", "Sensor", "register_sensor", "sensor_of", "sensors"]
@@ -52,11 +54,12 @@ class ReadingIndex(NamedTuple):
 _of_table: dict[type, type[Sensor]] = {}
 
 
-class Sensor(SensorVariables):
+class Sensor(SensorVariables, ABC):
     """A sensor model; a class derives from it for each kind of sensor.
 
     A subclass is a frozen dataclass whose fields are the settings of the model, e.g. whether readings may be gross
-    errors. Model files hold these fields: booleans and numbers, with the field's metadata ``comment`` beside them.
+    errors. Model files hold these fields: booleans, numbers, and texts out of the field's metadata ``choices``, with
+    its metadata ``comment`` beside them.
 
     Attributes
     ----------
@@ -94,16 +97,31 @@ class Sensor(SensorVariables):
         -------
         Sensor or None
         """
-        return cls() if any(name in log.dataset for name in cls.readings()) else None
+        return cls() if any(name in log.dataset for name in cls.readings(log.dataset)) else None
+
+    def usual_settings(self, log: LogArrays) -> dict[str, object]:
+        """Return the settings that follow from a log where the model leaves them open (None), for model files.
+
+        Parameters
+        ----------
+        log : LogArrays
+            The log.
+
+        Returns
+        -------
+        dict of str to object
+            Values by the names of the class's fields; by default nothing.
+        """
+        return {}
 
     @property
+    @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """The sensor's parameters, in the order in which its table function takes them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def bind(self, log: Any) -> BoundPart:
         """Prepare for one log; raises ModelError when the log lacks what the model needs."""
-        raise NotImplementedError
 
     # What can be said of a table without its kernels.
 
@@ -311,6 +329,25 @@ class Sensor(SensorVariables):
             By default empty.
         """
         return []
+
+    @staticmethod
+    def quick_readings(log: LogArrays, usual: Mapping[str, float]) -> QuickReadings | None:
+        """Return how a quick filter reads the sensor, so that the preflight can look for mistakes with it.
+
+        Parameters
+        ----------
+        log : LogArrays
+            A validated log.
+        usual : mapping of str to float
+            Usual values of parameters, the sensor's own among them, by name.
+
+        Returns
+        -------
+        QuickReadings or None
+            None when the log has no readings of the sensor, or no map for them; by default always, so that the
+            preflight says nothing of the sensor.
+        """
+        return None
 
     @staticmethod
     def index(table: Any, n_steps: int) -> ReadingIndex:

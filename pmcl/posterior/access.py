@@ -215,9 +215,10 @@ def log_contents(data: Posterior) -> tuple[LogContents, ...]:
     for suffix in _endings(given, "odometry"):
         places: set[tuple[str, float, object]] = set()
         for sensor_name, sensor in sensors().items():
-            for kind in sensor.readings():
+            held = [str(name).removesuffix(suffix) for name in observed.data_vars]
+            for kind in sensor.readings(held):
                 if (name := f"{kind}{suffix}") in observed:
-                    channel = sensor.variables[kind].dims[1:]
+                    channel = sensor.declared([kind])[kind].dims[1:]
                     # Kinds of one sensor that are read at the same place, such as distance and bearing, count once.
                     measured = _measured_places(observed[name], kind, channel, suffix)
                     places |= {(sensor_name, *place) for place in measured}

@@ -104,7 +104,7 @@ def kind_label(kind: str) -> str:
 
 def _channel_names(channels: Sequence[int], kind: str, log: RobotLog) -> str:
     """Name beams or landmarks, landmarks as the log names them."""
-    dimension = variables()[kind].dims[-1]
+    dimension = variables([kind])[kind].dims[-1]
     known = log.dataset.coords[dimension].values if dimension in log.dataset.coords else None
     names = ", ".join(str(channel if known is None else known[channel]) for channel in channels)
     return f"{dimension}{'s' if len(channels) > 1 else ''} {names}"

@@ -22,6 +22,11 @@ __all__ = ["LogLike", "agreed_truth", "log_groups", "over_channels", "reading_ki
 _SHARED_DIMS = frozenset({"increment", "pose", "xy", "end"})
 
 
+# What stays known of a log: whose it is, and the motion after which AMCL takes a scan, since alphas belong to steps of
+# that size.
+_KEPT_ATTRIBUTES = frozenset({"robot", "source", "seed", "update_min_d", "update_min_a", "update_rule"})
+
+
 class LogLike(Protocol):
     """The part of a robot log that the conversion uses; :class:`pmcl.logs.robot_log.RobotLog` has it."""
 
@@ -64,7 +69,7 @@ def reading_kinds(dataset: xr.Dataset) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    return tuple(kind for kind in readings() if kind in dataset)
+    return tuple(kind for kind in readings(dataset) if kind in dataset)
 
 
 def over_channels(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -96,7 +101,8 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         The readings, which the model has a density for: each kind as one row of the N values that were measured, in the
         order of time and channel, with their times and channels as coordinates. ArviZ compares them with the groups
         ``posterior_predictive`` and ``log_likelihood``, which have the same dimensions and no gaps. A range without
-        echo is the greatest range. Attributes name log, robot, source and seed.
+        echo is the greatest range. Attributes name log, robot, source and seed, and the motion after which rows were
+        chosen (``update_min_d``, ``update_min_a``, ``update_rule``).
     constant : xarray.Dataset
         Everything given: odometry, map, beam poses, start belief, the scalars ``true_<name>`` that the logs agree on,
         and the reference trajectory ``true_pose``, which serves scoring and pictures only.
@@ -107,7 +113,7 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         dataset = log.dataset.drop_encoding()
         kinds = reading_kinds(dataset)
         # The truth is a JSON text among the attributes of the log; it is kept as numbers below instead.
-        attrs = {f"{key}{suffix}": value for key, value in dataset.attrs.items() if key in ("robot", "source", "seed")}
+        attrs = {f"{key}{suffix}": value for key, value in dataset.attrs.items() if key in _KEPT_ATTRIBUTES}
         # Only the name of its file: its folder is private to the user.
         if name := Path(getattr(log, "where", "")).name:
             attrs[f"log{suffix}"] = name
@@ -128,7 +134,7 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
     for channel, column in zip(channels, columns, strict=True):
         numbers = values.coords[channel].values if channel in values.coords else np.arange(values.sizes[channel])
         coords[f"{kind}_{channel}{suffix}"] = (dims, numbers[column], {"units": "1", "long_name": channel})
-    attrs = {**values.attrs, "units": variables()[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
+    attrs = {**values.attrs, "units": variables([kind])[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
     return xr.DataArray(measured, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,21 +15,23 @@ from pmcl.errors import LogError
 from pmcl.logs.finding import Finding, warn_of
 from pmcl.logs.plausibility import implausible
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.quick import QuickReadings
 from pmcl.models.robot_model import RobotModel, default_model
-from pmcl.preflight.evidence import LEVELS, evidence_of
+from pmcl.models.sensor import sensors
+from pmcl.preflight.evidence import LEVELS, Evidence, evidence_of
 from pmcl.preflight.hypotheses import Hypothesis, hypotheses_of
-from pmcl.preflight.readings import Noise
-from pmcl.preflight.stretch import Stretch, stretch_of
+from pmcl.preflight.stretch import stretch_of
 from pmcl.preflight.unrelated import evidence_of_no_relation
 
 __all__ = ["checked_logs", "disagreements", "preflight", "require_rows"]
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
 
 # Rows that are looked at, and particles for each way to read the log and each pair of noise levels. A robot that may
-# be anywhere needs more particles, and then fewer rows do; rays cost more than landmarks, and rooms are smaller.
+# be anywhere needs more particles, which its sensors choose, and then fewer rows do.
 _ROWS, _PARTICLES = 160, 200
-_ROWS_ANYWHERE, _PARTICLES_ANYWHERE, _PARTICLES_IN_WALLS = 100, 2000, 500
+_ROWS_ANYWHERE = 100
 # The best mistake and the log as it is are compared again, by so many times the particles.
 _FINER = 5
 # Chance of naming some mistake in a sound log that the model describes, by the union bound and Ville's inequality, on
@@ -115,48 +118,69 @@ def disagreements(log: RobotLog, model: RobotModel | None = None, known: set[str
     known : set of str, optional
         Names of findings that are known already and need not be named again.
     """
-    if not _has_map(log):
-        return ()
+    usual = _usual_values(log, model)
+    readings = quick_readings_of(log, usual)
     anywhere = not np.isfinite(log.start_std).all()
-    stretch = stretch_of(log, _ROWS_ANYWHERE if anywhere else _ROWS)
-    if stretch.rows.size < _LEAST_ROWS:
+    has_map = any(read.map_points() is not None for read in readings.values())
+    if not readings or (anywhere and not has_map):
         return ()
-    unknown = _PARTICLES_IN_WALLS if log.ranges is not None else _PARTICLES_ANYWHERE
-    particles = unknown if anywhere else _PARTICLES
-    noise = _usual_noise(log, model)
-    found = _mistake(log, stretch, noise, particles)
+    rows = stretch_of(log, readings.values(), _ROWS_ANYWHERE if anywhere else _ROWS)
+    if rows.size < _LEAST_ROWS:
+        return ()
+    particles = min(read.particles_anywhere for read in readings.values()) if anywhere else _PARTICLES
+    found = _mistake(_Case(log, readings, rows, _motion_noise(usual)), particles)
     return tuple(finding for finding in found if finding.name not in (known or set()))
 
 
-def _has_map(log: RobotLog) -> bool:
-    return (log.ranges is not None and log.walls is not None) or any(
-        values is not None for values in (log.landmark_range, log.landmark_bearing, log.landmark_size)
-    )
+def quick_readings_of(log: RobotLog, usual: Mapping[str, float]) -> dict[str, QuickReadings]:
+    """Return the readings of all registered sensors that a quick filter can read, by the sensors' names.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log.
+    usual : mapping of str to float
+        Usual values of parameters by name.
+    """
+    found = {name: sensor.quick_readings(log, usual) for name, sensor in sensors().items()}
+    return {name: read for name, read in found.items() if read is not None}
 
 
-def _mistake(log: RobotLog, stretch: Stretch, noise: Noise, particles: int) -> tuple[Finding, ...]:
-    ways = hypotheses_of(log)
-    evidence = evidence_of(log, stretch, ways, noise, particles, seed=0)
+class _Case(NamedTuple):
+    """What is looked at: readings by sensor, rows (K,), usual noise of an increment (3,)."""
+
+    log: RobotLog
+    readings: Mapping[str, QuickReadings]
+    rows: Int
+    motion_noise: Float
+
+    def evidence(self, ways: Sequence[Hypothesis], particles: int, seed: int) -> Evidence:
+        return evidence_of(self.log, self.readings, self.rows, ways, self.motion_noise, particles, seed)
+
+
+def _mistake(case: _Case, particles: int) -> tuple[Finding, ...]:
+    ways = hypotheses_of(case.log, case.readings)
+    evidence = case.evidence(ways, particles, seed=0)
     gains = evidence.rows - evidence.rows[0]
-    unrelated = evidence_of_no_relation(log, stretch)
+    unrelated = evidence_of_no_relation(case.readings, case.rows)
     order = np.argsort(-np.where(np.isnan(gains).any(axis=1), -np.inf, gains.sum(axis=1)))
     best = int(order[0])
     if best != 0 and _tells(gains[best], len(ways)):
-        again = evidence_of(log, stretch, (ways[0], ways[best]), noise, _FINER * particles, seed=1)
+        again = case.evidence((ways[0], ways[best]), _FINER * particles, seed=1)
         gain = again.rows[1] - again.rows[0]
         if _tells(gain, len(ways)) and again.rows[1].sum() > unrelated.sum():
-            return (_named(ways[best], float(gain.sum()), stretch),)
+            return (_named(ways[best], float(gain.sum()), case.rows.size),)
     if _tells(unrelated - evidence.rows[0], len(ways)):
-        finer = evidence_of(log, stretch, ways[:1], noise, _FINER * particles, seed=1)
+        finer = case.evidence(ways[:1], _FINER * particles, seed=1)
         if _tells(unrelated - finer.rows[0], len(ways)):
-            return (_unrelated(float((unrelated - finer.rows[0]).sum()), stretch),)
-    if not np.isfinite(log.start_std).all():
+            return (_unrelated(float((unrelated - finer.rows[0]).sum()), case.rows.size),)
+    if not np.isfinite(case.log.start_std).all():
         # A filter that has not found the robot shows any motion.
         return ()
-    found = _disagreeing(log, stretch, evidence.levels, noise, len(ways))
+    found = _disagreeing(case, evidence.levels, len(ways))
     if found:
-        finer = evidence_of(log, stretch, ways[:1], noise, _FINER * particles, seed=1)
-        found = _disagreeing(log, stretch, finer.levels, noise, len(ways))
+        finer = case.evidence(ways[:1], _FINER * particles, seed=1)
+        found = _disagreeing(case, finer.levels, len(ways))
     return found
 
 
@@ -170,27 +194,28 @@ def _tells(gain: Float, n_ways: int) -> bool:
     return bool((halves > math.log(n_ways / _ERROR_RATE)).all() and blocks.mean() > _STANDARD_ERRORS * error)
 
 
-def _named(way: Hypothesis, gain: float, stretch: Stretch) -> Finding:
-    text = f"{way.finding}: so read, {stretch.rows.size} rows are explained better by {gain:.0f} nats; {way.advice}"
+def _named(way: Hypothesis, gain: float, n_rows: int) -> Finding:
+    text = f"{way.finding}: so read, {n_rows} rows are explained better by {gain:.0f} nats; {way.advice}"
     return Finding(way.name, "implausible", True, text)
 
 
-def _unrelated(gain: float, stretch: Stretch) -> Finding:
+def _unrelated(gain: float, n_rows: int) -> Finding:
     return Finding(
         "readings-unrelated-to-map",
         "implausible",
         True,
         f"readings and map have nothing to do with each other, whatever the noise: that readings follow a distribution "
-        f"of their own explains {stretch.rows.size} rows better by {gain:.0f} nats; check the map, which landmark is "
+        f"of their own explains {n_rows} rows better by {gain:.0f} nats; check the map, which landmark is "
         "which, the start, and units and signs of readings and odometry",
     )
 
 
-def _disagreeing(log: RobotLog, stretch: Stretch, levels: Float, noise: Noise, n_ways: int) -> tuple[Finding, ...]:
+def _disagreeing(case: _Case, levels: Float, n_ways: int) -> tuple[Finding, ...]:
     """Tell when the readings show motion of another size than the odometry."""
-    steps = np.asarray(log.odometry[1 : stretch.rows[-1] + 1])
+    steps = np.asarray(case.log.odometry[1 : case.rows[-1] + 1])
+    noise = case.motion_noise
     distance, turn = np.sqrt(np.mean(steps**2, axis=0) @ np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-    moving = np.array(LEVELS)[:, None] * np.array([np.hypot(noise.motion[0], noise.motion[1]), noise.motion[2]])
+    moving = np.array(LEVELS)[:, None] * np.array([np.hypot(noise[0], noise[1]), noise[2]])
     larger = (moving > _TOO_SMALL * np.array([distance, turn])).all(axis=1)
     by_level = logsumexp(levels, axis=1)
     best = int(np.argmax(by_level))
@@ -211,16 +236,15 @@ def _disagreeing(log: RobotLog, stretch: Stretch, levels: Float, noise: Noise, n
     )
 
 
-def _usual_noise(log: RobotLog, model: RobotModel | None) -> Noise:
+def _usual_values(log: RobotLog, model: RobotModel | None) -> dict[str, float]:
+    """Return the prior means of all parameters of the log's default model, and of `model` where that says more."""
     usual = {parameter.name: float(parameter.prior.mean()) for parameter in default_model(log).parameters}
     if model is not None:
         given = {parameter.name: float(parameter.prior.mean()) for parameter in model.parameters}
         given |= {name: float(value) for name, value in model.fixed.items()}
         usual |= {name: value for name, value in given.items() if 0.0 < value < math.inf}
-    return Noise(
-        motion=np.array([usual["sigma_forward"], usual["sigma_left"], usual["sigma_turn"]]),
-        beam=usual.get("sigma_range", math.nan),
-        range=usual.get("sigma_landmark_range", math.nan),
-        bearing=usual.get("sigma_bearing", math.nan),
-        size=usual.get("sigma_size", math.nan),
-    )
+    return usual
+
+
+def _motion_noise(usual: Mapping[str, float]) -> Float:
+    return np.array([usual["sigma_forward"], usual["sigma_left"], usual["sigma_turn"]])

@@ -10,7 +10,7 @@ expectation one; Ville's inequality bounds how often it ever becomes large.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from pmcl.logs.arrays import LogArrays
+from pmcl.models.quick import QuickReadings
 from pmcl.preflight.hypotheses import Hypothesis
-from pmcl.preflight.readings import Noise, Sensors
-from pmcl.preflight.stretch import Stretch
 
 __all__ = ["LEVELS", "Evidence", "evidence_of"]
 
@@ -40,8 +39,6 @@ _HOPELESS_ANYWHERE = 200.0
 # Noise levels that fall so far behind the best one of their way to read the log no longer count in the mean [nat].
 _NEGLIGIBLE = 20.0
 _ROWS_BETWEEN_CUTS = 5
-# How far beyond the outermost landmark a robot may start [m].
-_MARGIN = 2.0
 # A robot whose odometry says nothing moves as far as that odometry claims, but no further in one row [m, rad].
 _LONGEST_STEP, _LONGEST_TURN = 1.0, 1.5
 
@@ -81,9 +78,10 @@ class _Groups(NamedTuple):
 
 def evidence_of(
     log: LogArrays,
-    stretch: Stretch,
+    readings: Mapping[str, QuickReadings],
+    rows: Int,
     ways: Sequence[Hypothesis],
-    noise: Noise,
+    motion_noise: Float,
     particles: int,
     seed: int,
 ) -> Evidence:
@@ -93,12 +91,14 @@ def evidence_of(
     ----------
     log : LogArrays
         The log.
-    stretch : Stretch
-        K rows of it.
+    readings : mapping of str to QuickReadings
+        Of its sensors, by their registered names.
+    rows : ndarray of int, shape (K,)
+        Rows of it that are looked at.
     ways : sequence of Hypothesis
         H ways to read it; the first is the log as it is, which is never given up.
-    noise : Noise
-        Typical noise.
+    motion_noise : ndarray, shape (3,)
+        Usual standard deviations of one increment: forward, left, turn [m, m, rad].
     particles : int
         For each way and pair of noise levels.
     seed : int
@@ -113,26 +113,27 @@ def evidence_of(
     Costs O(9 H particles) for the first rows, and a small part of it once the hopeless ways are given up.
     """
     rng = np.random.default_rng(seed)
-    n_ways, n_rows = len(ways), stretch.rows.size
-    increments, counts = _increments(ways, stretch.rows)
-    wander = _wander(ways, stretch.rows)
-    sensors = Sensors(log, ways, noise)
+    n_ways, n_rows = len(ways), rows.size
+    increments, counts = _increments(ways, rows)
+    wander = _wander(ways, rows)
+    densities = [read.under([way.for_sensor(name) for way in ways]) for name, read in readings.items()]
     level = np.array(LEVELS)
-    groups = _started(log, ways, particles, rng)
+    groups = _started(log, readings, ways, particles, rng)
     hopeless = _HOPELESS if np.isfinite(log.start_std).all() else _HOPELESS_ANYWHERE
-    rows = np.full((n_ways, n_rows), np.nan)
+    gained = np.full((n_ways, n_rows), np.nan)
     before = np.zeros(n_ways)
-    for k in range(n_rows):
-        groups = _moved(groups, increments[:, k], counts[k], noise.motion, wander[:, k], rng)
-        log_weight = sensors.log_density(stretch.readings[k], groups.way, level[groups.sensor], groups.x, groups.y,
-                                         groups.heading)  # fmt: skip
+    for k, row in enumerate(rows.tolist()):
+        groups = _moved(groups, increments[:, k], counts[k], motion_noise, wander[:, k], rng)
+        log_weight = np.zeros_like(groups.x)
+        for density in densities:
+            log_weight += density(row, groups.way, level[groups.sensor], groups.x, groups.y, groups.heading)
         best = log_weight.max(axis=1, keepdims=True)
         weight = np.exp(log_weight - best)
         total = groups.total + best[:, 0] + np.log(weight.mean(axis=1))
         groups = _resampled(groups._replace(total=total), weight, rng)
         alive = np.unique(groups.way)
         now = np.array([logsumexp(total[groups.way == way]) for way in alive]) - 2.0 * math.log(len(LEVELS))
-        rows[alive, k] = now - before[alive]
+        gained[alive, k] = now - before[alive]
         before[alive] = now
         if k % _ROWS_BETWEEN_CUTS == _ROWS_BETWEEN_CUTS - 1 and n_ways > 1:
             reached = dict(zip(alive.tolist(), now.tolist(), strict=True))
@@ -140,7 +141,7 @@ def evidence_of(
     levels = np.full((len(LEVELS), len(LEVELS)), -np.inf)
     plain = groups.way == 0
     levels[groups.motion[plain], groups.sensor[plain]] = groups.total[plain]
-    return Evidence(rows, levels)
+    return Evidence(gained, levels)
 
 
 def _increments(ways: Sequence[Hypothesis], rows: Int) -> tuple[Float, Int]:
@@ -178,7 +179,13 @@ def _wander(ways: Sequence[Hypothesis], rows: Int) -> Float:
     return out
 
 
-def _started(log: LogArrays, ways: Sequence[Hypothesis], n: int, rng: np.random.Generator) -> _Groups:
+def _started(
+    log: LogArrays,
+    readings: Mapping[str, QuickReadings],
+    ways: Sequence[Hypothesis],
+    n: int,
+    rng: np.random.Generator,
+) -> _Groups:
     levels = np.arange(len(LEVELS))
     way, motion, sensor = (axis.ravel() for axis in np.meshgrid(np.arange(len(ways)), levels, levels, indexing="ij"))
     poses = np.empty((len(ways), n, 3))
@@ -192,7 +199,7 @@ def _started(log: LogArrays, ways: Sequence[Hypothesis], n: int, rng: np.random.
         if not known[2]:
             here[:, 2] = 2.0 * np.pi * anywhere[:, 2]
         if not (known[0] and known[1]):
-            low, high = _bounds(log, hypothesis)
+            low, high = _bounds(readings, hypothesis)
             here[:, :2] = low + (high - low) * anywhere[:, :2]
         poses[h] = here
     states = poses[way]
@@ -205,13 +212,11 @@ def _mapped(way: Hypothesis, poses: Float) -> Float:
     return np.column_stack((poses[:, :2] @ way.map_matrix.T + way.map_shift, np.arctan2(ahead[:, 1], ahead[:, 0])))
 
 
-def _bounds(log: LogArrays, way: Hypothesis) -> tuple[Float, Float]:
+def _bounds(readings: Mapping[str, QuickReadings], way: Hypothesis) -> tuple[Float, Float]:
     """Return the lower and upper corner of where a robot can be on the map as a way reads it."""
-    if log.walls is not None and log.ranges is not None:
-        points, margin = log.walls.segments.reshape(-1, 2), 0.0
-    else:
-        assert log.landmarks is not None
-        points, margin = log.landmarks.positions, _MARGIN
+    points, margin = next(
+        (points, read.margin()) for read in readings.values() if (points := read.map_points()) is not None
+    )
     points = points @ way.map_matrix.T + way.map_shift
     return points.min(axis=0) - margin, points.max(axis=0) + margin
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.geometry import between
 from pmcl.logs.arrays import LogArrays
+from pmcl.models.quick import QuickReadings, ReadAs
 
 __all__ = ["Hypothesis", "hypotheses_of"]
 
@@ -37,22 +39,15 @@ class Hypothesis:
         Increments (forward, left, turn) [m, m, rad].
     says_nothing : bool
         Whether the odometry does not tell how the robot moved; `odometry` is zero then.
-    range_factor, max_range_factor : float
-        What turns readings of distance, and max_range, into metres.
-    bearing_factor : float
-        What turns bearings into radians, counter-clockwise.
-    bearing_from_map : bool
-        Whether bearings are directions on the map.
+    misread : tuple of (str, Any), or None
+        The sensor whose readings are other than they say, by its registered name, and what undoes that
+        (:attr:`pmcl.models.quick.Misreading.change`).
     map_matrix : ndarray, shape (2, 2)
         A multiple of a rotation or reflection, by which the map is turned into what it should be.
     map_shift : ndarray, shape (2,)
         Added afterwards [m].
     with_start : bool
         Whether the belief about the start is on the wrong map, too, and changes with it.
-    beam_poses : ndarray, shape (B, 3), or None
-        Where the beams sit [m, m, rad].
-    zero_is_nothing : bool
-        Whether a beam that reads zero did not measure.
     """
 
     odometry: Float
@@ -60,27 +55,29 @@ class Hypothesis:
     finding: str = ""
     advice: str = ""
     says_nothing: bool = False
-    range_factor: float = 1.0
-    max_range_factor: float = 1.0
-    bearing_factor: float = 1.0
-    bearing_from_map: bool = False
+    misread: tuple[str, Any] | None = None
     map_matrix: Float = field(default_factory=lambda: np.eye(2))
     map_shift: Float = field(default_factory=lambda: np.zeros(2))
     with_start: bool = False
-    beam_poses: Float | None = None
-    zero_is_nothing: bool = False
+
+    def for_sensor(self, name: str) -> ReadAs:
+        """Return what a sensor needs to know of this way to read the log."""
+        change = self.misread[1] if self.misread is not None and self.misread[0] == name else None
+        return ReadAs(self.map_matrix, self.map_shift, change)
 
 
-def hypotheses_of(log: LogArrays) -> tuple[Hypothesis, ...]:
+def hypotheses_of(log: LogArrays, readings: Mapping[str, QuickReadings]) -> tuple[Hypothesis, ...]:
     """Return the ways to read a log: as it is first, then every mistake that could be seen in it.
 
     Parameters
     ----------
     log : LogArrays
         A validated log.
+    readings : mapping of str to QuickReadings
+        Of the sensors that the log has, by their registered names.
     """
-    plain = Hypothesis(np.asarray(log.odometry), beam_poses=log.beam_poses)
-    return (plain, *_of_odometry(log, plain), *_of_landmarks(log, plain), *_of_beams(log, plain), *_of_map(log, plain))
+    plain = Hypothesis(np.asarray(log.odometry))
+    return (plain, *_of_odometry(log, plain), *_of_sensors(readings, plain), *_of_map(log, readings, plain))
 
 
 def _of_odometry(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
@@ -170,104 +167,25 @@ def _differences(log: LogArrays) -> Float:
     return increments
 
 
-def _of_landmarks(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
-    if log.landmark_bearing is not None:
-        yield replace(
-            plain,
-            name="bearings-in-degrees",
-            finding="the bearings seem to be in degrees",
-            advice="multiply them by pi / 180",
-            bearing_factor=_DEGREE,
-        )
-        yield replace(
-            plain,
-            name="bearing-sign-flipped",
-            finding="the bearings seem to have the wrong sign",
-            advice="count bearings counter-clockwise from straight ahead",
-            bearing_factor=-1.0,
-        )
-        yield replace(
-            plain,
-            name="bearings-in-world-frame",
-            finding="the bearings seem to be directions on the map",
-            advice="subtract the robot's heading, or take them as the sensor gave them",
-            bearing_from_map=True,
-        )
-    if log.landmark_range is not None:
-        for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2)):
-            yield replace(
-                plain,
-                name=f"ranges-in-{unit}",
-                finding=f"the distances of landmarks seem to be in {unit}",
-                advice=f"multiply them by {factor:g}",
-                range_factor=factor,
-            )
+def _of_sensors(readings: Mapping[str, QuickReadings], plain: Hypothesis) -> Iterator[Hypothesis]:
+    for sensor, read in readings.items():
+        for name, finding, advice, change in read.mistakes():
+            yield replace(plain, name=name, finding=finding, advice=advice, misread=(sensor, change))
 
 
-def _of_beams(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
-    if log.ranges is None or log.beam_poses is None:
+def _of_map(log: LogArrays, readings: Mapping[str, QuickReadings], plain: Hypothesis) -> Iterator[Hypothesis]:
+    with_map = [read for read in readings.values() if read.map_points() is not None]
+    if not with_map:
         return
-    for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2)):
-        what = replace(plain, name=f"ranges-in-{unit}", advice=f"multiply them by {factor:g}", range_factor=factor)
-        yield replace(what, finding=f"the range readings seem to be in {unit}")
-        yield replace(
-            what, finding=f"the range readings and max_range seem to be in {unit}", max_range_factor=factor
-        )
-    if (log.ranges == 0.0).any():
-        yield replace(
-            plain,
-            name="zero-for-not-measured",
-            finding="range readings of 0 seem to mean that nothing was measured",
-            advice="write NaN there (or inf where there was no echo)",
-            zero_is_nothing=True,
-        )
-    yaws = log.beam_poses[:, 2]
-    for name, finding, advice, changed in (
-        ("beam-yaws-in-degrees", "the yaws of the beams seem to be in degrees", "multiply them by pi / 180",
-         yaws * _DEGREE),
-        ("beam-yaws-are-indices", "the yaws of the beams seem to be their numbers",
-         "give the direction of each beam in radians", yaws * (2.0 * math.pi / max(len(yaws), 1))),
-        ("beam-yaw-sign-flipped", "the yaws of the beams seem to have the wrong sign",
-         "count yaws counter-clockwise from straight ahead", -yaws),
-    ):  # fmt: skip
-        if yaws.any():
-            poses = np.array(log.beam_poses)
-            poses[:, 2] = changed
-            yield replace(plain, name=name, finding=finding, advice=advice, beam_poses=poses)
-
-
-def _of_map(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
-    for way in _changed_maps(log, plain):
-        if way.with_start or not _is_same_map(log, way):
+    for way in _changed_maps(log, with_map[0], plain):
+        if way.with_start or not with_map[0].is_same_map(way.map_matrix, way.map_shift):
             yield way
 
 
-def _is_same_map(log: LogArrays, way: Hypothesis) -> bool:
-    """Tell whether a symmetric map comes out as it went in."""
-
-    def canonical(points: Float) -> Float:
-        # Walls are in no order, and neither are their ends; landmarks have their numbers.
-        ends = np.round(points, 6) + 0.0
-        if ends.ndim == 2:
-            return ends
-        walls = np.array([sorted(map(tuple, wall)) for wall in ends]).reshape(-1, 4)
-        return np.asarray(walls[np.lexsort(walls.T)])
-
-    if log.walls is not None and log.ranges is not None:
-        points = log.walls.segments
-    else:
-        assert log.landmarks is not None
-        points = log.landmarks.positions
-    return np.array_equal(canonical(points), canonical(points @ way.map_matrix.T + way.map_shift))
-
-
-def _changed_maps(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
-    if log.walls is not None and log.ranges is not None:
-        x_low, x_high, y_low, y_high = log.walls.bounds
-    elif log.landmarks is not None:
-        x_low, x_high, y_low, y_high = log.landmarks.bounds
-    else:
-        return
+def _changed_maps(log: LogArrays, read: QuickReadings, plain: Hypothesis) -> Iterator[Hypothesis]:
+    points = read.map_points()
+    assert points is not None
+    (x_low, y_low), (x_high, y_high) = points.min(axis=0), points.max(axis=0)
     placed = bool(np.isfinite(log.start_std).all())
     mirrored = replace(
         plain,

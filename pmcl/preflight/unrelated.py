@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.logs.arrays import LogArrays
-from pmcl.preflight.readings import width_beyond
-from pmcl.preflight.stretch import Stretch
+from pmcl.models.quick import QuickReadings
 
 __all__ = ["evidence_of_no_relation"]
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
 
 _BINS = 8
 # Krichevsky and Trofimov's pseudo-count of each bin.
@@ -37,51 +37,27 @@ class _Histogram:
         return math.log(density)
 
 
-def evidence_of_no_relation(log: LogArrays, stretch: Stretch) -> Float:
+def evidence_of_no_relation(readings: Mapping[str, QuickReadings], rows: Int) -> Float:
     """Return how well readings are explained without the map.
 
     Parameters
     ----------
-    log : LogArrays
-        The log.
-    stretch : Stretch
-        The K rows that are looked at.
+    readings : mapping of str to QuickReadings
+        Of the sensors that the log has.
+    rows : ndarray of int, shape (K,)
+        The rows that are looked at.
 
     Returns
     -------
     ndarray, shape (K,)
         Log evidence of each row's readings given those before [nat].
     """
-    landmarks = (
-        ("range", log.landmark_range, 0.0),
-        ("bearing", log.landmark_bearing, -math.pi),
-        ("size", log.landmark_size, 0.0),
-    )
-    bounds = {
-        name: (low, math.pi if name == "bearing" else 1.001 * float(np.nanmax(table)))
-        for name, table, low in landmarks
-        if table is not None and not np.isnan(table).all()
-    }
-    beyond = width_beyond(log)
-    known: dict[tuple[str, int], _Histogram] = {}
-    out = np.zeros(stretch.rows.size)
-    for k, read in enumerate(stretch.readings):
-        columns = (("range", read.range), ("bearing", read.bearing), ("size", read.size))
-        readings = [
-            (name, int(j), _in_one_turn(value) if name == "bearing" else value)
-            for name, values in columns
-            for j, value in zip(read.landmark, values.tolist(), strict=True)
-            if not math.isnan(value)
-        ]
-        if log.walls is not None:
-            readings += [("beam", int(b), value) for b, value in zip(read.beam, read.length.tolist(), strict=True)]
-        for name, number, value in readings:
-            if (name, number) not in known:
-                low, high = (0.0, log.max_range) if name == "beam" else bounds[name]
-                known[name, number] = _Histogram(low, high if high > low else low + 1.0, beyond)
-            out[k] += known[name, number].log_density(value)
+    known: dict[tuple[str, tuple[str, int]], _Histogram] = {}
+    out = np.zeros(rows.size)
+    for k, row in enumerate(rows.tolist()):
+        for sensor, read in readings.items():
+            for channel, value, low, high, width_outside in read.channels(row):
+                if (sensor, channel) not in known:
+                    known[sensor, channel] = _Histogram(low, high if high > low else low + 1.0, width_outside)
+                out[k] += known[sensor, channel].log_density(value)
     return out
-
-
-def _in_one_turn(angle: float) -> float:
-    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))

@@ -13,7 +13,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy import special
 
-from pmcl.criticism.findings.result import Candidate, Criticism
+from pmcl.criticism.findings.parts import Candidate
+from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.scoring.scored_log import ScoredLog
 from pmcl.reports.style import FAINT, POSTERIOR, legend_above, new_figure, tidy
 

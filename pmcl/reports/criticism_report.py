@@ -7,7 +7,8 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pmcl.criticism.findings.result import Candidate, Criticism, Estimate, Step, Unexplained
+from pmcl.criticism.findings.parts import Candidate, Estimate, Step, Unexplained
+from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.findings.verdict import channels_of, with_place
 from pmcl.criticism.judging.alarms import Alarm
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit

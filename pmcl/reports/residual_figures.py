@@ -49,7 +49,8 @@ def residual_channels(data: Posterior, log: int, n_logs: int) -> dict[str, str]:
     """
     checked = find_group(data, "predictive_check")
     suffix = suffixes_for(n_logs)[log]
-    named = {f"residual_{kind}{suffix}": plural_of(kind) for kind in readings()}
+    held = [str(name).removeprefix("residual_").removesuffix(suffix) for name in checked.data_vars]
+    named = {f"residual_{kind}{suffix}": plural_of(kind) for kind in readings(held)}
     return {
         variable: words
         for variable, words in named.items()

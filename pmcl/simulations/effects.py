@@ -137,7 +137,7 @@ class Affected:
             When an effect makes the motion depend on commands of later rows.
         """
         command = np.zeros((log.n_steps, 3))
-        unfolding = _Unfolding(log.dataset, log.where, command)
+        unfolding = _Unfolding(log.dataset, log.where, log.grid_map, command)
         start_table = StartBelief().bind(unfolding).table(np.empty(0))
         plain = Tables(start_table, self._table(self.motion, unfolding), (self._table(self.sensor, unfolding),))
         tables = self._edited(plain, unfolding)

@@ -50,7 +50,7 @@ def test_metropolis_block_of_20_rounds(benchmark, amigobot):
 
 def _walker(case, particles=25):
     """Return a state and the function that makes one step of a walker."""
-    from tests.oracles.sweeps import first_state
+    from oracles.sweeps import first_state
 
     bound, theta = case.bound, case.theta
     d = theta.size

@@ -157,3 +157,11 @@ def test_inputs_are_not_overwritten(log_file, posterior, tmp_path, refused):
     assert "other than" in line
     assert (log_file.read_bytes(), posterior.read_bytes()) == before
     assert sorted(os.listdir(tmp_path)) == ["log.nc"]
+
+
+def test_an_mcap_file_is_written_beside_the_track(run, refused, log, log_file, tmp_path):
+    output, shown = tmp_path / "track.nc", tmp_path / "track.mcap"
+    result = run("localize", log_file, "--method", "prior", "--particles", 80, "-o", output, "--mcap", shown)
+    assert result.exit_code == 0, result.output
+    assert shown.read_bytes().startswith(b"\x89MCAP0\r\n")
+    assert "is both" in refused("localize", log_file, "--method", "prior", "-o", output, "--mcap", output)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
 
-from pmcl.criticism.findings.result import Estimate, FoundEffect, Unexplained
+from pmcl.criticism.findings.parts import Estimate, FoundEffect, Unexplained
 from pmcl.criticism.findings.verdict import UNKNOWN, finding_of, sentence_of, with_place
 from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect

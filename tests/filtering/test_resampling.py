@@ -8,7 +8,7 @@ from scipy import stats
 
 from pmcl.engine.compile import entry
 from pmcl.filtering.kernels.resampling import SCHEMES, draw_index, multinomial_into, resample
-from pmcl.filtering.kernels.smc import ALL_ZERO, FINE, NOT_A_NUMBER, normalise
+from pmcl.filtering.kernels.weighing import ALL_ZERO, FINE, NOT_A_NUMBER, normalise
 
 # mypy: disable-error-code="no-untyped-def"
 

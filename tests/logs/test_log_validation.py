@@ -79,7 +79,7 @@ BAD = {
     "no sensor": (
         drop("range", "landmark_range", "landmark_bearing", "landmark_size"),
         LogError,
-        "at least one of range, landmark_range, landmark_bearing, landmark_size, got none",
+        "at least one of range, landmark_range, landmark_bearing, landmark_size, scan, got none",
     ),
     "odometry of two columns": (
         lambda d: d.drop_vars(["odometry", "increment"]).assign(odometry=(("time", "increment"), np.zeros((4, 2)))),

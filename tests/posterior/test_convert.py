@@ -248,3 +248,10 @@ def test_no_stored_trajectories_is_fine():
     assert log_suffixes(data) == ()
     assert "trajectories" not in group_names(data)
     assert parameter_names(data) == NAMES
+
+
+def test_the_motion_after_which_amcl_took_scans_stays_known():
+    case = fake_case(n_draws=20)
+    case.logs[0].dataset.attrs |= {"update_min_d": 0.25, "update_min_a": 0.2, "update_rule": "nav2"}
+    attrs = find_group(to_arviz(case.chains, case.parameters, case.logs), "observed_data").attrs
+    assert (attrs["update_min_d"], attrs["update_min_a"], attrs["update_rule"]) == (0.25, 0.2, "nav2")

@@ -18,7 +18,7 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.walls import WallMap
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
-from pmcl.preflight.check import _tells, _usual_noise, checked_logs, disagreements, preflight
+from pmcl.preflight.check import _tells, checked_logs, disagreements, preflight, quick_readings_of
 from pmcl.preflight.evidence import evidence_of
 from pmcl.preflight.hypotheses import hypotheses_of
 from pmcl.preflight.stretch import stretch_of
@@ -148,14 +148,16 @@ def test_the_odometry_of_a_hypothesis_undoes_the_mistake():
     for name in ("turns-in-degrees", "turn-sign-flipped", "poses-as-increments", "odometry-columns-swapped",
                  "velocities-as-increments", "odometry-in-world-frame"):  # fmt: skip
         wrong = mistakes.ODOMETRY[name](log)
-        found = [way.odometry for way in hypotheses_of(wrong) if way.name == name]
+        found = [way.odometry for way in hypotheses_of(wrong, {}) if way.name == name]
         assert any(np.allclose(odometry[2:], log.odometry[2:], atol=1e-9) for odometry in found), name
 
 
 def test_evidence_of_the_same_way_twice_differs_by_its_own_noise_only():
     log = amigobot()
-    plain = hypotheses_of(log)[0]
-    evidence = evidence_of(log, stretch_of(log, 60), (plain, plain), _usual_noise(log, None), 200, 0)
+    readings = quick_readings_of(log, {"sigma_range": 0.1})
+    plain = hypotheses_of(log, readings)[0]
+    rows = stretch_of(log, readings.values(), 60)
+    evidence = evidence_of(log, readings, rows, (plain, plain), np.array([0.05, 0.03, 0.05]), 200, 0)
     gain = evidence.rows[1] - evidence.rows[0]
     assert np.isfinite(gain).all()
     assert np.any(gain != 0.0)
@@ -179,8 +181,9 @@ def test_both_halves_and_most_blocks_must_tell(gain, tells):
 def test_a_stretch_has_the_rows_in_which_the_view_changed():
     log = amigobot()
     still = mistakes.changed(log, odometry=np.where(np.arange(log.n_steps)[:, None] < 50, 0.0, log.odometry))
-    assert stretch_of(still, 30).rows.tolist()[:2] == [0, 50]
-    assert len(stretch_of(log, 30).readings) == 30
+    readings = quick_readings_of(log, {}).values()
+    assert stretch_of(still, readings, 30).tolist()[:2] == [0, 50]
+    assert len(stretch_of(log, readings, 30)) == 30
 
 
 def test_findings_of_several_logs_are_numbered_and_warned_of(caplog):

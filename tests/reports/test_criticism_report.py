@@ -12,7 +12,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from pmcl.criticism.findings.result import Unexplained
+from pmcl.criticism.findings.parts import Unexplained
 from pmcl.criticism.workflow import criticize
 from pmcl.reports import criticism_figures as figures
 from pmcl.reports.criticism_report import write_criticism_report

@@ -25,7 +25,16 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.geometry import wrap
 from pmcl.localization import OnlineLocalizer
 from pmcl.logs import RobotLog
-from pmcl.models import RobotModel, default_model, read_model, register_motion, register_sensor
+from pmcl.models import (
+    ChannelReading,
+    Misreading,
+    QuickReadings,
+    RobotModel,
+    default_model,
+    read_model,
+    register_motion,
+    register_sensor,
+)
 from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.sensor import sensor_of
 from pmcl.posterior.access import log_contents
@@ -120,6 +129,53 @@ def test_a_stuck_compass_is_implausible():
     stuck[60:100] = stuck[60]
     dataset = sound.dataset.assign(compass=("time", stuck))
     assert [finding.name for finding in preflight(RobotLog.from_dataset(dataset))] == ["stuck-sensor"]
+
+
+class QuickCompass(QuickReadings):
+    """Headings for a quick filter, and the mistake that they are a navigator's: clockwise from north."""
+
+    def __init__(self, heading, std):
+        self.heading, self.std = heading, std
+
+    @property
+    def rows(self):
+        return ~np.isnan(self.heading)
+
+    def channels(self, row):
+        yield ChannelReading(("compass", 0), self.heading[row], -np.pi, np.pi)
+
+    def mistakes(self):
+        advice = "subtract them from pi / 2"
+        yield Misreading("compass-from-north", "the headings seem to be counted clockwise from north", advice, True)
+
+    def under(self, ways):
+        from_north = np.array([bool(way.change) for way in ways])
+
+        def log_density(row, way, level, x, y, heading):
+            read = np.where(from_north[way], np.pi / 2.0 - self.heading[row], self.heading[row])
+            hit = stats.norm.pdf(wrap(read[:, None] - heading), scale=level[:, None] * self.std)
+            return np.log(0.95 * hit + 0.05 / (2.0 * np.pi))
+
+        return log_density
+
+
+class CompassWithPreflight(Compass):
+    """The same sensor, which says how a quick filter reads it."""
+
+    @staticmethod
+    def quick_readings(log, usual):
+        return QuickCompass(log.variable("compass"), usual["sigma_compass"])
+
+
+def test_the_preflight_asks_the_sensor_for_mistakes(monkeypatch):
+    """A sensor without `quick_readings` is left out; with it, its own mistakes are named."""
+    sound = compass_log()
+    from_north = wrap(np.pi / 2.0 - sound.variable("compass"))
+    wrong = RobotLog.from_dataset(sound.dataset.assign(compass=("time", from_north)))
+    assert preflight(wrong) == ()
+    monkeypatch.setitem(registry._added[SENSORS], "compass", CompassWithPreflight)
+    assert preflight(sound) == ()
+    assert [finding.name for finding in preflight(wrong)] == ["compass-from-north"]
 
 
 # The model.

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.criticism.findings.result import Candidate, Estimate, FoundEffect, JudgedFit, Unexplained
+from pmcl.criticism.findings.parts import Candidate, Estimate, FoundEffect, Unexplained
+from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import Fit
 from pmcl.criticism.fitting.trials import Trial

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pmcl.criticism.findings.result import Estimate, FoundEffect, Step, Unexplained
+from pmcl.criticism.findings.parts import Estimate, FoundEffect, Step, Unexplained
 from pmcl.criticism.judging.alarms import Judgement
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect

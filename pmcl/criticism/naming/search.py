@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pmcl.criticism.findings.assemble import found_effect
-from pmcl.criticism.findings.result import FoundEffect, JudgedFit
+from pmcl.criticism.findings.parts import FoundEffect
+from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import WORTH_A_FORMULA
 from pmcl.criticism.fitting.quick_fit import Fit
 from pmcl.criticism.fitting.trials import PRACTICAL, Trial
@@ -310,5 +311,5 @@ def _explains_too_little(best: Trial, judgement: Judgement) -> bool:
 
 def _readings(log: RobotLog, rows: slice) -> int:
     """Return how many numbers the sensors have read in some rows."""
-    variables = (log.dataset[name].values[rows] for name in readings() if name in log.dataset)
+    variables = (log.dataset[name].values[rows] for name in readings(log.dataset) if name in log.dataset)
     return sum(int((~np.isnan(values)).sum()) for values in variables)

@@ -66,7 +66,7 @@ def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.rand
     for table in tables.sensors:
         sensor = sensor_of(table)
         sensor.store(sensor.simulate(table, path, rng), dataset)
-    return RobotLog.trusted(dataset, f"{log.where} (simulated)")
+    return RobotLog.trusted(dataset, f"{log.where} (simulated)", log.grid_map)
 
 
 def _start_state(tables: Tables, reference: Float, rng: np.random.Generator) -> Float:

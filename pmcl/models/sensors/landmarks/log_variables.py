@@ -43,7 +43,7 @@ class LandmarkVariables(SensorVariables):
     @classmethod
     def check(cls, dataset: xr.Dataset, where: str) -> None:
         """Check sightings and landmarks; see :meth:`pmcl.logs.sensor_variables.SensorVariables.check`."""
-        _check(dataset, [name for name in cls.readings() if name in dataset], where)
+        _check(dataset, [name for name in cls.readings(dataset) if name in dataset], where)
 
     @classmethod
     def count(cls, readings: Mapping[str, Float]) -> NDArray[np.int64]:

@@ -26,6 +26,7 @@ from pmcl.models.sensor import ReadingIndex, Sensor
 from pmcl.models.sensors.landmarks.kernels.residuals import SightingResiduals
 from pmcl.models.sensors.landmarks.linearisation import covariates, empty_like, ideal, linearise, moved_linearisation
 from pmcl.models.sensors.landmarks.log_variables import LandmarkVariables
+from pmcl.models.sensors.landmarks.quick import quick_sightings
 from pmcl.models.sensors.landmarks.scoring import sightings_that_differ
 from pmcl.models.sensors.landmarks.simulation import simulate
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
@@ -62,6 +63,7 @@ class LandmarkNoise(LandmarkVariables, Sensor):
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)
+    quick_readings = staticmethod(quick_sightings)
     covariates = staticmethod(covariates)
     parts_that_differ = staticmethod(sightings_that_differ)
 

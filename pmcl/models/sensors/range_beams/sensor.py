@@ -23,6 +23,7 @@ from pmcl.models.sensors.range_beams.along_path import along, covariates
 from pmcl.models.sensors.range_beams.kernels.residuals import RangeResiduals
 from pmcl.models.sensors.range_beams.linearisation import beam_lengths, empty_like, linearise, moved_linearisation
 from pmcl.models.sensors.range_beams.log_variables import RangeVariables
+from pmcl.models.sensors.range_beams.quick import quick_beams
 from pmcl.models.sensors.range_beams.scoring import RayCache, beams_that_differ, scoring_calls
 from pmcl.models.sensors.range_beams.simulation import simulate
 from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams
@@ -46,6 +47,7 @@ class RangeNoise(RangeVariables, Sensor):
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)
+    quick_readings = staticmethod(quick_beams)
     along = staticmethod(along)
     covariates = staticmethod(covariates)
     parts_that_differ = staticmethod(beams_that_differ)

@@ -1,0 +1,177 @@
+"""The particle filter: one loop forward in time, with its history (equations of Kaboli, Bowling and Musilek 2006)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.engine.compile import entry, kernel
+from pmcl.engine.contract import draw_start, propagate, scratch_rows, state_size
+from pmcl.engine.sensor_tuples import any_reading, count_slots, most_rows
+from pmcl.filtering.kernels.resampling import draw_parents
+from pmcl.filtering.kernels.weighing import FINE, AllAtOnce, OneByOne, normalise, weigh
+
+__all__ = ["FilterWork", "History", "filter_pass", "forward", "predictive_pass", "work_rows"]
+
+Float = NDArray[np.float64]
+
+
+class History(NamedTuple):
+    """What a pass of the filter leaves, and what backward sampling needs.
+
+    Attributes
+    ----------
+    particles : ndarray, shape (T, D, n)
+        The states.
+    log_weights : ndarray, shape (T, n)
+        Logs of their weights, not normalised.
+    ancestors : ndarray of uint32, shape (T, n)
+        The parent of each particle; row 0 means nothing.
+    """
+
+    particles: Float
+    log_weights: Float
+    ancestors: NDArray[np.uint32]
+
+
+class FilterWork(NamedTuple):
+    """The arrays of one pass of the filter.
+
+    Attributes
+    ----------
+    history : History
+        Filled.
+    steps : ndarray, shape (T, 2)
+        Filled with the increment of the log evidence by each step, and the effective sample size.
+    previous : ndarray, shape (D, n)
+        Work space: the resampled states.
+    scratch : ndarray, shape (rows, n)
+        Work space, as many rows as :func:`work_rows` says.
+    """
+
+    history: History
+    steps: Float
+    previous: Float
+    scratch: Float
+
+
+@kernel
+def work_rows(tables):
+    """Return how many rows of scratch space a pass over these tables needs."""
+    rows = max(scratch_rows(tables.motion), scratch_rows(tables.start))
+    return max(rows, most_rows(tables.sensors)) + 3
+
+
+@kernel(reorder=True)
+def _effective_size(weights, weight_sum):
+    squares = 0.0
+    for i in range(weights.size):
+        squares += weights[i] * weights[i]
+    return weight_sum * weight_sum / squares
+
+
+@kernel
+def forward(tables, rng, n_steps, scheme, threshold, conditional, path, record, arrays):
+    """Run the filter (eqs. 1 and 2) over the first `n_steps` rows.
+
+    With `conditional`, particle 0 follows `path` and the others choose their parents independently (conditional SMC:
+    Andrieu, Doucet, Holenstein 2010). Weights are reset by resampling only where something was measured since the
+    last time: whether it was does not depend on the particles, so this keeps conditional SMC exact.
+
+    `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `arrays` is a
+    :class:`FilterWork`. Returns (status, time, log evidence).
+    """
+    particles, log_weights, ancestors = arrays.history
+    steps, previous = arrays.steps, arrays.previous
+    size, n = particles.shape[1], particles.shape[2]
+    # What resampling needs is no longer needed when a model uses its scratch space.
+    weights, draft, work = arrays.scratch[0], arrays.scratch[1:3], arrays.scratch[1:]
+    log_evidence, log_norm = 0.0, math.log(n)
+    weighted = False
+    weight_sum = float(n)
+    for t in range(n_steps):
+        current, logw = particles[t], log_weights[t]
+        parent = ancestors[t]
+        if t == 0:
+            draw_start(tables.start, rng, current)
+            before = current
+            for i in range(n):
+                logw[i] = 0.0
+        else:
+            before = particles[t - 1]
+            if weighted and (conditional or steps[t - 1, 1] <= threshold * n):
+                draw_parents(scheme, weights, weight_sum, rng, parent, draft)
+                if conditional:
+                    parent[0] = 0
+                for d in range(size):
+                    source, gathered = particles[t - 1, d], previous[d]
+                    for i in range(n):
+                        gathered[i] = source[parent[i]]
+                before = previous
+                weighted = False
+                log_norm = math.log(n)
+            else:
+                for i in range(n):
+                    parent[i] = i
+            propagate(tables.motion, t, rng, before, current, work)
+            for i in range(n):
+                logw[i] = log_weights[t - 1, i] if weighted else 0.0
+        if conditional:
+            for d in range(size):
+                current[d, 0] = path[t, d]
+        steps[t, 0] = 0.0
+        if any_reading(tables.sensors, t):
+            weigh(record, tables.sensors, t, before, current, logw, weights, work)
+            status, greatest, weight_sum = normalise(logw, weights)
+            if status != FINE:
+                return status, t, -np.inf
+            new_norm = greatest + math.log(weight_sum)
+            steps[t, 0] = new_norm - log_norm
+            steps[t, 1] = _effective_size(weights, weight_sum)
+            log_evidence += steps[t, 0]
+            log_norm = new_norm
+            weighted = True
+        else:
+            steps[t, 1] = steps[t - 1, 1] if weighted else float(n)
+    return FINE, n_steps - 1, log_evidence
+
+
+@entry
+def filter_pass(tables, rng, n_steps, n, scheme, threshold):
+    """Filter; `scheme` is an :class:`~pmcl.filtering.kernels.resampling.AnyScheme`.
+
+    Returns (status, time, log evidence, particles (T, D, n), log weights (T, n), steps (T, 2), ancestors (T, n)).
+    """
+    size = state_size(tables.motion)
+    particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
+    history = History(particles, log_weights, ancestors)
+    arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
+    status, t, log_evidence = forward(
+        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0), arrays
+    )
+    return status, t, log_evidence, particles, log_weights, steps, ancestors
+
+
+@entry
+def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
+    """Do the same, taking the readings of a row one after another.
+
+    Returns what :func:`filter_pass` does, then log score, low and high (N,) of each slot (see
+    :class:`~pmcl.filtering.kernels.weighing.OneByOne`); NaN where nothing was measured.
+    """
+    size = state_size(tables.motion)
+    particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
+    slots = count_slots(tables.sensors, n_steps)
+    log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
+    history = History(particles, log_weights, ancestors)
+    arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
+    record = OneByOne(n_steps, log_score, low, high, np.empty((6, n)))
+    status, t, log_evidence = forward(
+        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), record, arrays
+    )
+    return status, t, log_evidence, particles, log_weights, steps, ancestors, log_score, low, high
