@@ -19,12 +19,14 @@ from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.landmarks import LandmarkMap
 from pmcl.models.effects import CATALOGUE
+from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.motions.odometry.kernels.residuals import DifferentialResiduals, differential_steps
 from pmcl.models.motions.odometry.motion import Differential, Omni
 from pmcl.models.motions.odometry.table import DifferentialMotion, OmniMotion
-from pmcl.models.robot_model import RobotModel
+from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.tables import Tables
+from pmcl.simulations.lidar_room import simulate_lidar_room
 
 # Odometry of one step (forward, left, turn) and alphas. Between them are nav2's default, a good robot, wheels so bad
 # that directions wrap, a robot that reverses, turns on the spot, creeps below the threshold, and stands.
@@ -249,6 +251,11 @@ def test_a_robot_that_never_moves_is_refused():
     for motion in (Differential(), Omni()):
         with pytest.raises(ModelError, match="made log: noise by alphas needs a robot that moves"):
             motion.bind(resting)
+
+
+def test_robots_with_a_lidar_have_alphas_by_default():
+    assert default_model(simulate_lidar_room(3)).motion == Differential()
+    assert default_model(driving_log()).motion == IncrementNoise()
 
 
 @pytest.mark.parametrize("motion", [Differential(), Omni()], ids=["differential", "omni"])
