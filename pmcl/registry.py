@@ -35,6 +35,7 @@ _OWN: dict[str, dict[str, str]] = {
     SENSORS: {
         "range": "pmcl.models.sensors.range_beams.sensor:RangeNoise",
         "landmarks": "pmcl.models.sensors.landmarks.sensor:LandmarkNoise",
+        "lidar": "pmcl.models.sensors.lidar.sensor:Lidar",
     },
     MOTIONS: {
         "increment": "pmcl.models.motions.increments.motion:IncrementNoise",

@@ -25,6 +25,7 @@ __all__ = [
     "path_transition_logpdf",
     "propagate",
     "reading_count",
+    "reading_exponent",
     "reading_logpdf",
     "reading_slots",
     "scratch_rows",
@@ -141,10 +142,20 @@ def reading_slots(sensor, t):
 
 
 @generic
+def reading_exponent(sensor):
+    """Return the exponent of each reading's density in the density of its row: 1 where readings are independent.
+
+    Optional, 1 by default. With a smaller one :func:`reading_logpdf` tempers what its readings say together; the record
+    of single readings still foresees each by its own density.
+    """
+
+
+@generic
 def one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
     """Write what each state says about one single reading, given the earlier readings of the same row.
 
-    `logp` (n,) receives the log density, so that over all slots of a row it adds up to that of :func:`reading_logpdf`;
+    `logp` (n,) receives the log density; over all slots of a row, times :func:`reading_exponent`, it adds up to that of
+    :func:`reading_logpdf`;
     `low` and `high` (n,) the probabilities of a smaller, and of a smaller or equal reading (they differ where the
     reading has a probability of its own, as a clipped one does; NaN when the distribution function is not known).
     `memory` (3, n) and `scratch` are kept from slot to slot of one row; every slot is asked for, in order. Returns
@@ -155,6 +166,11 @@ def one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scr
 @reading_count.register(object)
 def _one_slot_per_row(sensor, n_steps):
     return n_steps
+
+
+@reading_exponent.register(object)
+def _independent(sensor):
+    return 1.0
 
 
 @reading_slots.register(object)

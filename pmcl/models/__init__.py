@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pmcl.models.robot_model import RobotModel, default_model
     from pmcl.models.sensor import ReadingIndex, Sensor, register_sensor
     from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+    from pmcl.models.sensors.lidar.sensor import Lidar
     from pmcl.models.sensors.range_beams.sensor import RangeNoise
     from pmcl.models.starts.belief import StartBelief
     from pmcl.models.tables import Tables
@@ -30,6 +31,7 @@ __all__ = [
     "GrowingIncrementNoise",
     "IncrementNoise",
     "LandmarkNoise",
+    "Lidar",
     "Misreading",
     "Motion",
     "Parameter",
@@ -55,6 +57,7 @@ _HOMES = {
     "GrowingIncrementNoise": "pmcl.models.motions.increments.motion",
     "IncrementNoise": "pmcl.models.motions.increments.motion",
     "LandmarkNoise": "pmcl.models.sensors.landmarks.sensor",
+    "Lidar": "pmcl.models.sensors.lidar.sensor",
     "Misreading": "pmcl.models.quick",
     "Motion": "pmcl.models.motion",
     "Parameter": "pmcl.models.parameters",

@@ -217,7 +217,7 @@ def _sensors(where: str, given: Any, log: RobotLog) -> tuple[Part, ...]:
 
 
 def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], log: RobotLog) -> Sensor:
-    """Read the settings of a sensor: booleans, and numbers above zero, for the fields of its class."""
+    """Read the settings of a sensor: booleans, choices, and numbers above zero, for the fields of its class."""
     settings, key = _table(where, name, given), f"sensors.{name}"
     declared: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     fields = {field.name: field for field in declared}
@@ -228,6 +228,8 @@ def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], lo
         value = settings.get(setting, getattr(usual, setting) if usual is not None else field.default)
         if isinstance(field.default, bool):
             values[setting] = _flag(where, f"{key}.{setting}", value)
+        elif isinstance(field.default, str):
+            values[setting] = _choice(where, f"{key}.{setting}", value, field.metadata["choices"])
         elif value is None:
             values[setting] = None
         else:
@@ -235,7 +237,10 @@ def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], lo
             if values[setting] <= 0.0:
                 unit = field.metadata.get("comment", "a number")
                 _fail(where, f"{key}.{setting}", f"expected {unit} > 0, but got {values[setting]:g}; correct it")
-    return kind(**values)
+    try:
+        return kind(**values)
+    except ModelError as error:
+        _fail(where, key, str(error))
 
 
 def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:

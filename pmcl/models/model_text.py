@@ -57,7 +57,7 @@ def model_text(model: RobotModel, log: RobotLog) -> str:
     _add_start(document, model.start)
     tables = tomlkit.table(is_super_table=True)
     for part in model.sensors:
-        name, table = _sensor(part)
+        name, table = _sensor(part, log)
         tables[name] = table
     document["sensors"] = tables
     _add_effects(document, model)
@@ -112,16 +112,20 @@ def _fields(part: Part) -> tuple[dataclasses.Field[Any], ...]:
     return dataclasses.fields(part) if dataclasses.is_dataclass(part) else ()
 
 
-def _sensor(part: Part) -> tuple[str, Table]:
+def _sensor(part: Part, log: RobotLog) -> tuple[str, Table]:
     name, kind = next(((name, kind) for name, kind in sensors().items() if type(part) is kind), ("", None))
-    if kind is None:
+    if kind is None or not isinstance(part, kind):
         _refuse(part)
     table = tomlkit.table()
     table.comment(kind.summary)
+    usual = part.usual_settings(log)
     for field in _fields(part):
-        value = getattr(part, field.name)
+        value: Any = getattr(part, field.name)
+        value = usual.get(field.name) if value is None else value
         if value is not None:
-            item = tomlkit.item(value if isinstance(value, bool) else float(value))
+            # A setting whose usual value is no whole number is written as a float, also where it happens to be one.
+            whole = isinstance(field.default, int)
+            item = tomlkit.item(value if isinstance(value, bool | str) or whole else float(value))
             table[field.name] = item.comment(field.metadata["comment"]) if "comment" in field.metadata else item
     return name, table
 

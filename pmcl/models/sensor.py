@@ -58,7 +58,8 @@ class Sensor(SensorVariables, ABC):
     """A sensor model; a class derives from it for each kind of sensor.
 
     A subclass is a frozen dataclass whose fields are the settings of the model, e.g. whether readings may be gross
-    errors. Model files hold these fields: booleans and numbers, with the field's metadata ``comment`` beside them.
+    errors. Model files hold these fields: booleans, numbers, and texts out of the field's metadata ``choices``, with
+    its metadata ``comment`` beside them.
 
     Attributes
     ----------
@@ -97,6 +98,21 @@ class Sensor(SensorVariables, ABC):
         Sensor or None
         """
         return cls() if any(name in log.dataset for name in cls.readings(log.dataset)) else None
+
+    def usual_settings(self, log: LogArrays) -> dict[str, object]:
+        """Return the settings that follow from a log where the model leaves them open (None), for model files.
+
+        Parameters
+        ----------
+        log : LogArrays
+            The log.
+
+        Returns
+        -------
+        dict of str to object
+            Values by the names of the class's fields; by default nothing.
+        """
+        return {}
 
     @property
     @abstractmethod

@@ -2,8 +2,8 @@
 
 :mod:`~pmcl.simulations.simulate` draws paths and readings from coefficient tables, the exact counterpart of the
 densities in :mod:`pmcl.filtering.kernels`. :mod:`~pmcl.simulations.amigobot` and :mod:`~pmcl.simulations.aibo` are the
-paper's robots, and :mod:`~pmcl.simulations.landmark_field` is a simple case for tests and benchmarks. Their logs can be
-used like recorded ones.
+paper's robots; :mod:`~pmcl.simulations.landmark_field` and :mod:`~pmcl.simulations.lidar_room` are simple cases for
+tests and benchmarks. Their logs can be used like recorded ones.
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ if TYPE_CHECKING:
     from pmcl.simulations.aibo import simulate_aibo
     from pmcl.simulations.amigobot import simulate_amigobot
     from pmcl.simulations.landmark_field import simulate_landmark_field
+    from pmcl.simulations.lidar_room import simulate_lidar_room
 
 __all__ = [
     "simulate_aibo",
     "simulate_amigobot",
     "simulate_landmark_field",
+    "simulate_lidar_room",
 ]
 
 _HOMES = {
     "simulate_aibo": "pmcl.simulations.aibo",
     "simulate_amigobot": "pmcl.simulations.amigobot",
     "simulate_landmark_field": "pmcl.simulations.landmark_field",
+    "simulate_lidar_room": "pmcl.simulations.lidar_room",
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -16,7 +16,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from pmcl.engine.compile import generic, kernel, overload_for_types
-from pmcl.engine.contract import one_reading, reading_count, reading_slots
+from pmcl.engine.contract import one_reading, reading_count, reading_exponent, reading_slots
 from pmcl.engine.sensor_tuples import sum_logpdf
 from pmcl.engine.vector_math import exp_into, maximum, total
 
@@ -110,10 +110,21 @@ def _compiled_sensor_by_sensor(sensors, offset, record, t, previous, current, lo
 
 
 @kernel
+def _log_mean(weights, weight_sum, logp, draft):
+    """Return the log of the weighted mean of exp(`logp`); `draft` (n,) is work space."""
+    greatest = maximum(logp)
+    if not abs(greatest) < np.inf:
+        return greatest
+    exp_into(logp, greatest, draft)
+    return greatest + math.log(_inner(weights, draft) / weight_sum)
+
+
+@kernel
 def _slot_by_slot(sensor, offset, record, t, previous, current, log_weights, weights, scratch):
     draft = record.draft
     logp, low, high, memory = draft[0], draft[1], draft[2], draft[3:6]
     status, greatest, weight_sum = normalise(log_weights, weights)
+    exponent = reading_exponent(sensor)
     first, stop = reading_slots(sensor, t)
     for slot in range(first, stop):
         if not one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
@@ -122,8 +133,13 @@ def _slot_by_slot(sensor, offset, record, t, previous, current, log_weights, wei
             record.low[offset + slot] = _inner(weights, low) / weight_sum
             record.high[offset + slot] = _inner(weights, high) / weight_sum
             before = greatest + math.log(weight_sum)
+            if exponent != 1.0:
+                record.log_score[offset + slot] = _log_mean(weights, weight_sum, logp, low)
         for i in range(logp.size):
-            log_weights[i] += logp[i]
+            log_weights[i] += exponent * logp[i]
         if status == FINE:
             status, greatest, weight_sum = normalise(log_weights, weights)
-            record.log_score[offset + slot] = greatest + math.log(weight_sum) - before if status == FINE else -np.inf
+            if status != FINE:
+                record.log_score[offset + slot] = -np.inf
+            elif exponent == 1.0:
+                record.log_score[offset + slot] = greatest + math.log(weight_sum) - before
