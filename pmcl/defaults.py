@@ -16,8 +16,12 @@ __all__ = [
     "LOCALIZATION_DRAWS",
     "LOCALIZATION_DRAWS_PER_READING",
     "LOCALIZATION_PARTICLES",
+    "MAX_BEAMS",
     "SIMULATION_DURATION",
     "TRAJECTORIES",
+    "UPDATE_MIN_A",
+    "UPDATE_MIN_D",
+    "UPDATE_RULES",
 ]
 
 DRAWS: Final = 1000
@@ -46,3 +50,15 @@ FALSE_ALARM_LEVEL: Final = 0.05
 
 SIMULATION_DURATION: Final = 400.0
 """Length of a simulated log [s], that of the paper's shorter experiments."""
+
+UPDATE_MIN_D: Final = 0.25
+"""Distance between scans that become rows of a log [m]: the default of ``update_min_d`` in nav2's AMCL."""
+
+UPDATE_MIN_A: Final = 0.2
+"""Angle between scans that become rows of a log [rad]: the default of ``update_min_a`` in nav2's AMCL."""
+
+UPDATE_RULES: Final = ("nav2", "euclidean")
+"""How the distance between such scans is judged; see :func:`pmcl.logs.amcl_rows.amcl_rows`."""
+
+MAX_BEAMS: Final = 60
+"""Rays of each scan that a log keeps: the default of ``max_beams`` in nav2's AMCL."""

@@ -1,4 +1,4 @@
-"""``pmcl convert``: published recordings as robot logs."""
+"""``pmcl convert``: recordings as robot logs. Commands for lidars are in :mod:`pmcl.cli.convert_lidars`."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pmcl.cli.options import output_option
 if TYPE_CHECKING:
     from pmcl.logs.robot_log import RobotLog
 
-__all__ = ["convert"]
+__all__ = ["convert", "write_log"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-@click.group(short_help="Convert a published recording to a robot log.")
+@click.group(short_help="Convert a recording to a robot log: bags, texts, published data.")
 def convert() -> None:
-    """Convert a published recording to a robot log.
+    """Convert a recording to a robot log.
 
-    For data of your own see pmcl.RobotLog.build and 'pmcl example own_robot'.
+    For data of your own in other formats see pmcl.RobotLog.build and 'pmcl example own_robot'.
     """
 
 
@@ -67,7 +67,7 @@ def mrclam(source: str, robot: int, output: Path, **settings: Any) -> None:
     """UTIAS multi-robot localization and mapping: a FOLDER with RobotN_Odometry.dat and the other tables."""
     from pmcl.logs.mrclam import read_mrclam
 
-    _write(read_mrclam(source, robot, settings.pop("period"), **settings), output)
+    write_log(read_mrclam(source, robot, settings.pop("period"), **settings), output)
 
 
 @convert.command(short_help="Lost in the Woods, course data of T. Barfoot: tubes seen by a laser.")
@@ -79,10 +79,11 @@ def barfoot(source: str, output: Path, **settings: Any) -> None:
 
     if settings["max_offset"] is None:
         del settings["max_offset"]  # this reader has a default of its own
-    _write(read_barfoot(source, settings.pop("period"), **settings), output)
+    write_log(read_barfoot(source, settings.pop("period"), **settings), output)
 
 
-def _write(log: RobotLog, output: Path) -> None:
+def write_log(log: RobotLog, output: Path) -> None:
+    """Write a log, and say what is in it and what was left out."""
     from pmcl.logs.finding import warn_of
     from pmcl.preflight.check import disagreements
 

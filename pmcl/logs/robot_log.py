@@ -12,7 +12,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from pmcl.checks import MOST_COUNT, check_path, check_seed, check_type, check_whole
-from pmcl.errors import LogError, MapError, did_you_mean
+from pmcl.errors import LogError, MapError
+from pmcl.logs.arguments import of_further_sensors, of_lidars, plain_number
 from pmcl.logs.arrays import LidarScans, LogArrays
 from pmcl.logs.assemble import assemble
 from pmcl.logs.finding import warn_of
@@ -20,7 +21,6 @@ from pmcl.logs.grid_map import check_start_on_map, map_named_by, map_to_name
 from pmcl.logs.netcdf import read_dataset, write_dataset
 from pmcl.logs.plausibility import implausible, without_map
 from pmcl.logs.schema import REFERENCE
-from pmcl.logs.schema import variables as format_variables
 from pmcl.logs.validation import fail, validated
 from pmcl.maps.landmarks import LandmarkMap
 from pmcl.maps.occupancy_grid import OccupancyGrid
@@ -295,10 +295,10 @@ class RobotLog(LogArrays):
             "start_std": start_std,
             "true_pose": true_poses,
         }
-        arrays |= _of_further_sensors(variables or {}, arrays, where)
-        of_lidars = _of_lidars(lidars or {}, where)
-        arrays |= {name: values for name, (values, _) in of_lidars.items()}
-        theta = None if true_theta is None else json.dumps(dict(true_theta), default=_number)
+        arrays |= of_further_sensors(variables or {}, arrays, where)
+        laser_variables = of_lidars(lidars or {}, where)
+        arrays |= {name: values for name, (values, _) in laser_variables.items()}
+        theta = None if true_theta is None else json.dumps(dict(true_theta), default=plain_number)
         stated = {
             "robot": robot,
             "source": source,
@@ -307,7 +307,7 @@ class RobotLog(LogArrays):
             "max_range": max_range,
             "size_at_one_metre": size_at_one_metre,
         }
-        attributes_of = {name: attrs for name, (_, attrs) in of_lidars.items()}
+        attributes_of = {name: attrs for name, (_, attrs) in laser_variables.items()}
         dataset = assemble(arrays, {**(attributes or {}), **stated}, where, names, attributes_of)
         log = cls(dataset, where, grid_map)
         if warn:
@@ -418,37 +418,3 @@ class RobotLog(LogArrays):
         bare = self.dataset.drop_vars(list(REFERENCE), errors="ignore")
         bare.attrs = {key: value for key, value in bare.attrs.items() if key not in ("true_theta", "effects", "seed")}
         return RobotLog.trusted(bare, self.where, self.grid_map)
-
-
-def _of_further_sensors(
-    given: Mapping[str, ArrayLike | None], arguments: Mapping[str, object], where: str
-) -> dict[str, ArrayLike | None]:
-    """Check the names in the argument `variables`: those of registered sensors that no other argument sets."""
-    known = [name for name in format_variables(given) if name not in arguments]
-    for name in given:
-        if name in arguments:
-            fail(where, f"expected '{name}' as an argument of its own, got it in 'variables': move it")
-        if name not in known:
-            advice = did_you_mean(name, known, "install the package of its sensor, or register it with register_sensor")
-            fail(where, f"expected variables of registered sensors, got '{name}': {advice}")
-    return dict(given)
-
-
-def _of_lidars(
-    lidars: Mapping[str, LidarScans], where: str
-) -> dict[str, tuple[ArrayLike, dict[str, object]]]:
-    """Return variables of the format, each with its attributes, from the scans of lidars by name."""
-    found: dict[str, tuple[ArrayLike, dict[str, object]]] = {}
-    for label, laser in lidars.items():
-        check_type(f"lidars[{label!r}]", laser, LidarScans, error=LogError, advice="write pmcl.logs.LidarScans(...)")
-        scan, angle = (f"{name}_{label}" if label else name for name in ("scan", "scan_angle"))
-        if scan not in format_variables([scan]) or scan == "scan_angle" or scan.startswith("scan_angle_"):
-            fail(where, f"expected names of lidars of letters, digits and '_', got {label!r:.40}: rename the lidar")
-        reach = {"min_range": laser.min_range, "max_range": laser.max_range, "pose": laser.pose}
-        found[scan], found[angle] = (laser.ranges, reach), (laser.angles, {})
-    return found
-
-
-def _number(value: object) -> float | str:
-    # numpy scalars are numbers too; whatever is not one is left to the validation, which says so.
-    return float(value) if isinstance(value, np.number) else str(value)

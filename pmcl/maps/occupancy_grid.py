@@ -249,6 +249,31 @@ class OccupancyGrid:
         at = np.where(inside, row, 0.0).astype(np.int64), np.where(inside, column, 0.0).astype(np.int64)
         return np.asarray(np.where(inside, self.cells[at], UNKNOWN), dtype=np.uint8)
 
+    def coarser(self, most: int) -> OccupancyGrid:
+        """Return the map with larger cells, for pictures.
+
+        Parameters
+        ----------
+        most : int
+            Greatest number of rows and of columns; more stay only where cells would be too large for a map.
+
+        Returns
+        -------
+        OccupancyGrid
+            The grid itself when it has no more. Else squares of cells become one cell each: occupied where one of them
+            is, else free where one is, else unknown. Cells beyond the last row and column count as unknown.
+        """
+        rows, columns = self.cells.shape
+        k = min(-(-max(rows, columns) // most), int(RESOLUTIONS[1] / self.resolution))
+        if k == 1:
+            return self
+        # In the order of their weight: unknown, free, occupied.
+        rank = np.array([1, 2, 0], dtype=np.uint8)[self.cells]
+        rank = np.pad(rank, ((0, -rows % k), (0, -columns % k)))
+        rank = rank.reshape(rank.shape[0] // k, k, rank.shape[1] // k, k).max(axis=(1, 3))
+        cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.uint8)[rank]
+        return OccupancyGrid(cells, k * self.resolution, self.origin, self.source)
+
     def fingerprint(self) -> str:
         """Return the SHA-256 of cells, resolution and origin, in hexadecimal; the source does not count."""
         return self._fingerprint

@@ -15,11 +15,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.logs.schema import readings, variables
+from pmcl.maps.occupancy_grid import OccupancyGrid
 
-__all__ = ["LogLike", "agreed_truth", "log_groups", "over_channels", "reading_kinds", "suffixes_for"]
+__all__ = ["LogLike", "agreed_truth", "log_groups", "over_channels", "reading_kinds", "stored_grid", "suffixes_for"]
 
 # Dimensions that mean the same in every log.
 _SHARED_DIMS = frozenset({"increment", "pose", "xy", "end"})
+# Cells along the longer side of a grid map in a posterior: more than a figure shows take space only.
+_MOST_CELLS = 800
 
 
 # What stays known of a log: whose it is, and the motion after which AMCL takes a scan, since alphas belong to steps of
@@ -104,8 +107,9 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         echo is the greatest range. Attributes name log, robot, source and seed, and the motion after which rows were
         chosen (``update_min_d``, ``update_min_a``, ``update_rule``).
     constant : xarray.Dataset
-        Everything given: odometry, map, beam poses, start belief, the scalars ``true_<name>`` that the logs agree on,
-        and the reference trajectory ``true_pose``, which serves scoring and pictures only.
+        Everything given: odometry, map (a grid map in cells as coarse as figures need), beam poses, start belief, the
+        scalars ``true_<name>`` that the logs agree on, and the reference trajectory ``true_pose``, which serves scoring
+        and pictures only.
     """
     observed: list[xr.Dataset] = []
     constant: list[xr.Dataset] = []
@@ -119,7 +123,10 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
             attrs[f"log{suffix}"] = name
         measured = [_measured(dataset[kind], suffix) for kind in kinds]
         observed.append(xr.Dataset({each.name: each for each in measured}, attrs=attrs))
-        constant.append(_numbered(dataset.drop_vars(kinds), suffix))
+        given = dataset.drop_vars(kinds)
+        if (grid := getattr(log, "grid_map", None)) is not None:
+            given = given.assign(grid_map=_picture(grid))
+        constant.append(_numbered(given, suffix))
     truth = {f"true_{name}": np.float64(value) for name, value in agreed_truth(logs).items()}
     return _merged(observed), _merged(constant).assign(truth)
 
@@ -136,6 +143,35 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
         coords[f"{kind}_{channel}{suffix}"] = (dims, numbers[column], {"units": "1", "long_name": channel})
     attrs = {**values.attrs, "units": variables([kind])[kind].units, "long_name": f"measured {kind.replace('_', ' ')}"}
     return xr.DataArray(measured, dims=dims, coords=coords, name=f"{kind}{suffix}", attrs=attrs)
+
+
+def _picture(grid: OccupancyGrid) -> xr.DataArray:
+    """Return a grid map as a small variable: what pages about the posterior draw."""
+    small = grid.coarser(_MOST_CELLS)
+    attrs = {"units": "1", "long_name": "0 free, 1 occupied, 2 unknown", "resolution": small.resolution}
+    return xr.DataArray(small.cells, dims=("grid_row", "grid_column"), attrs={**attrs, "origin": list(small.origin)})
+
+
+def stored_grid(constants: xr.Dataset, suffix: str) -> OccupancyGrid | None:
+    """Return the grid map of a log as the group ``constant_data`` of a posterior holds it.
+
+    Parameters
+    ----------
+    constants : xarray.Dataset
+        The group.
+    suffix : str
+        That of the log, from :func:`suffixes_for`.
+
+    Returns
+    -------
+    OccupancyGrid or None
+        With larger cells than the map has where that is large; None when the log had none.
+    """
+    if f"grid_map{suffix}" not in constants:
+        return None
+    stored = constants[f"grid_map{suffix}"]
+    x, y, yaw = (float(value) for value in stored.attrs["origin"])
+    return OccupancyGrid(stored.values.astype(np.uint8), float(stored.attrs["resolution"]), (x, y, yaw))
 
 
 def agreed_truth(logs: Sequence[LogLike]) -> dict[str, float]:

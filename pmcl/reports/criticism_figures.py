@@ -16,6 +16,8 @@ from scipy import special
 from pmcl.criticism.findings.parts import Candidate
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.scoring.scored_log import ScoredLog
+from pmcl.logs.robot_log import RobotLog
+from pmcl.reports.map_drawing import draw_map
 from pmcl.reports.style import FAINT, POSTERIOR, legend_above, new_figure, tidy
 
 __all__ = ["plot_candidates", "plot_channels", "plot_gains", "plot_map", "plot_pit"]
@@ -49,7 +51,7 @@ def plot_map(criticism: Criticism) -> Figure:
     shades = [_surprise(scored) for _, scored in models]
     top = max(2.0, float(np.nanquantile(shades[0], 0.98)))
     for axes, (title, scored), shade in zip(grid, models, shades, strict=True):
-        _draw_map(axes, criticism)
+        of_map = _draw_map(axes, criticism.log)
         points = scored.path[:, :2]
         lines = LineCollection(
             list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis_r", norm=LogNorm(0.5, top), linewidths=2.5
@@ -57,16 +59,13 @@ def plot_map(criticism: Criticism) -> Figure:
         lines.set_array(shade[1:])
         axes.add_collection(lines)
         axes.autoscale_view()
-        axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(title, fontsize=10)
-        axes.set_xlabel("x [m]")
-        axes.set_ylabel("y [m]")
         tidy(axes)
     bar = figure.colorbar(lines, ax=list(grid), label="mean squared surprise (1: as predicted)", shrink=0.85)
     ticks = [tick for tick in _SURPRISE_TICKS if tick <= top]
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.minorticks_off()
-    legend_above(figure, [*grid[0].collections, *grid[0].get_lines()])
+    legend_above(figure, of_map)
     return figure
 
 
@@ -222,11 +221,14 @@ def _heat(scored: ScoredLog) -> tuple[list[str], Float, Float]:
     return labels, np.array(rows), edges
 
 
-def _draw_map(axes: Axes, criticism: Criticism) -> None:
-    if criticism.log.walls is not None:
-        walls = list(criticism.log.walls.segments)
-        axes.add_collection(LineCollection(walls, colors="black", linewidths=1.0, label="walls"))
-    if criticism.log.landmarks is not None:
-        axes.plot(*criticism.log.landmarks.positions.T, "^", color="black", markersize=5, label="landmarks")
+def _draw_map(axes: Axes, log: RobotLog) -> list[Any]:
+    """Draw the log's map; return its entries for the legend."""
+    walls, landmarks = log.walls, log.landmarks
+    return draw_map(
+        axes,
+        walls=None if walls is None else walls.segments,
+        landmarks=None if landmarks is None else landmarks.positions,
+        grid=log.grid_map,
+    )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -16,7 +16,9 @@ from pmcl.geometry import wrap
 from pmcl.posterior.access import log_suffixes, trajectory_draws
 from pmcl.posterior.compat import Posterior, find_group
 from pmcl.posterior.estimates import PathSummary, path_summary
+from pmcl.posterior.log_groups import stored_grid
 from pmcl.reports.bands import band_over_time
+from pmcl.reports.map_drawing import draw_map
 from pmcl.reports.style import POSTERIOR, evenly_spaced, legend_above, new_figure, tidy
 
 __all__ = ["plot_trajectory"]
@@ -58,26 +60,25 @@ def plot_trajectory(data: Posterior, log: int = 0) -> Figure:
     truth = np.asarray(constants[name].values, dtype=np.float64) if name in constants else None
     figure = new_figure(7.6, 6.4)
     panels = figure.subplot_mosaic([["map", "map"], ["position", "heading"]], height_ratios=[3, 1])
-    _draw_map(panels["map"], data, suffix)
+    of_map = _draw_map(panels["map"], data, suffix)
     stored = np.asarray(trajectory_draws(data, log).values, dtype=np.float64)
     handles = _draw_path(panels["map"], stored.reshape(-1, *stored.shape[2:]), path, truth)
     handles += _draw_spread(panels["position"], panels["heading"], path, truth)
-    legend_above(figure, [*panels["map"].collections, *panels["map"].get_lines(), *handles])
+    of_path = [line for line in panels["map"].get_lines() if line not in of_map]
+    legend_above(figure, [*of_map, *of_path, *handles])
     return figure
 
 
-def _draw_map(axes: Axes, data: Posterior, suffix: str) -> None:
+def _draw_map(axes: Axes, data: Posterior, suffix: str) -> list[Any]:
+    """Draw the map that the posterior holds; return its entries for the legend."""
     constants = find_group(data, "constant_data")
-    if f"wall{suffix}" in constants:
-        walls = constants[f"wall{suffix}"].values
-        axes.add_collection(LineCollection(list(walls), colors="#444444", linewidths=1.6, label="walls"))
-    if f"landmark_position{suffix}" in constants:
-        spots = constants[f"landmark_position{suffix}"].values
-        axes.plot(spots[:, 0], spots[:, 1], "^", color="#D55E00", markersize=6, linestyle="", label="landmarks")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    walls, landmarks = (
+        constants[f"{name}{suffix}"].values if f"{name}{suffix}" in constants else None
+        for name in ("wall", "landmark_position")
+    )
+    entries = draw_map(axes, walls=walls, landmarks=landmarks, grid=stored_grid(constants, suffix))
     tidy(axes)
+    return entries
 
 
 def _draw_path(axes: Axes, paths: Float, path: PathSummary, truth: Float | None) -> list[Any]:

@@ -140,3 +140,20 @@ def test_a_grid_of_too_many_cells_is_refused_before_anything_is_copied():
     many = np.broadcast_to(np.uint8(OCCUPIED), (MOST_CELLS // 1000 + 1, 1000))
     with pytest.raises(MapError, match=f"at most {MOST_CELLS} cells"):
         OccupancyGrid(many, 0.05)
+
+
+def test_a_coarser_grid_keeps_obstacles_and_places_where_they_are():
+    cells = np.full((5, 7), UNKNOWN, dtype=np.uint8)
+    cells[0, :] = FREE
+    cells[1, 0] = OCCUPIED
+    cells[4, 6] = FREE
+    grid = OccupancyGrid(cells, 0.1, (1.0, 2.0, 0.5), "here")
+    coarse = grid.coarser(4)
+    # Two by two; the last row and the last column stand for one row and one column.
+    assert coarse.cells.tolist() == [[1, 0, 0, 0], [2, 2, 2, 2], [2, 2, 2, 0]]
+    assert (coarse.resolution, coarse.origin, coarse.source) == (0.2, grid.origin, "here")
+    assert grid.coarser(7) is grid
+    assert grid.coarser(6).cells.shape == (3, 4)
+    # Cells never become larger than those of any map.
+    wide = OccupancyGrid(np.ones((1, 2000), dtype=np.uint8), 4.0)
+    assert wide.coarser(100).resolution == 8.0
