@@ -40,6 +40,8 @@ _OWN: dict[str, dict[str, str]] = {
     MOTIONS: {
         "increment": "pmcl.models.motions.increments.motion:IncrementNoise",
         "growing": "pmcl.models.motions.increments.motion:GrowingIncrementNoise",
+        "differential": "pmcl.models.motions.odometry.motion:Differential",
+        "omni": "pmcl.models.motions.odometry.motion:Omni",
     },
     EFFECTS: {},
     METHODS: {

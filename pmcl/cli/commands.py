@@ -8,12 +8,13 @@ from pmcl.cli.application import Application
 from pmcl.cli.calibrate import calibrate
 from pmcl.cli.compare import compare
 from pmcl.cli.convert import convert
-from pmcl.cli.convert_lidars import bag
+from pmcl.cli.convert_lidars import bag, carmen, wean
 from pmcl.cli.criticize import criticize
 from pmcl.cli.demo import demo
 from pmcl.cli.effects import effects
 from pmcl.cli.example import example
 from pmcl.cli.export import export
+from pmcl.cli.identify import identify
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
 from pmcl.cli.simulate import simulate
@@ -32,8 +33,11 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, criticize, compare, localize, export, report, effects, example):
+_COMMANDS = (
+    demo, simulate, convert, identify, calibrate, criticize, compare, localize, export, report, effects, example,
+)  # fmt: skip
+for command in _COMMANDS:
     pmcl.add_command(command)
 
-for command in (bag,):
+for command in (bag, carmen, wean):
     convert.add_command(command)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,7 +11,10 @@ from pmcl.cli.convert import write_log
 from pmcl.cli.lidar_options import lidar_options, map_at, three_numbers
 from pmcl.cli.options import output_option, protect_inputs
 
-__all__ = ["bag"]
+if TYPE_CHECKING:
+    from pmcl.maps.occupancy_grid import OccupancyGrid
+
+__all__ = ["bag", "carmen", "wean"]
 
 
 @click.command(short_help="A ROS 1 bag, a ROS 2 folder or an MCAP file: odometry and laser scans.")
@@ -68,3 +71,61 @@ def bag(ctx: click.Context, /, source: str, output: Path, map_path: str | None, 
 
     protect_inputs(ctx, output, [source])
     write_log(read_bag(source, grid_map=map_at(map_path), **settings), output)
+
+
+@click.command(short_help="A text log of CARMEN: FLASER or ROBOTLASER1, and ODOM lines.")
+@click.argument("source", metavar="FILE")
+@output_option("The log to write (NetCDF).")
+@click.option("--map", "map_path", metavar="MAP.yaml", help="The map, a map_server pair.")
+@click.option(
+    "--laser-pose",
+    metavar="X,Y,YAW",
+    callback=three_numbers,
+    help="Where the laser sits on the robot [m, m, rad].  [default: what the log says]",
+)
+@lidar_options()
+@click.pass_context
+def carmen(ctx: click.Context, /, source: str, output: Path, map_path: str | None, **settings: Any) -> None:
+    """Convert scans and odometry of a text log of CARMEN; FILE may be compressed by gzip.
+
+    The rows of the log are the scans that AMCL would use.
+    """
+    from pmcl.logs.carmen import read_carmen
+
+    protect_inputs(ctx, output, [source])
+    write_log(read_carmen(source, grid_map=map_at(map_path), **settings), output)
+
+
+@click.command(short_help="CMU Wean Hall: laser, odometry and a grid map of their own format.")
+@click.argument("source", metavar="LOG")
+@output_option("The log to write (NetCDF).")
+@click.option(
+    "--map",
+    "map_path",
+    metavar="MAP",
+    help="The map: wean.dat or wean.dat.gz, which is also written beside the log as map_server pair, or a MAP.yaml.",
+)
+@lidar_options()
+@click.pass_context
+def wean(ctx: click.Context, /, source: str, output: Path, map_path: str | None, **settings: Any) -> None:
+    """Convert a Wean Hall recording: LOG is a robotdataN.log, or a folder that holds one.
+
+    The rows of the log are the scans that AMCL would use.
+    """
+    from pmcl.logs.wean import find_wean_log, read_wean
+
+    protect_inputs(ctx, output, [source, str(find_wean_log(source))])
+    write_log(read_wean(source, grid_map=_wean_map(ctx, map_path, output), **settings), output)
+
+
+def _wean_map(ctx: click.Context, path: str | None, output: Path) -> OccupancyGrid | None:
+    """Read the map; one of the recordings' own format is written beside the log, which can then name it."""
+    if path is None or Path(path).suffix in (".yaml", ".yml"):
+        return map_at(path)
+    from pmcl.maps.wean import read_wean_map
+
+    pair = output.with_name(f"{output.stem}_map.yaml")
+    protect_inputs(ctx, pair, [path])
+    grid = read_wean_map(path)
+    grid.write(pair)
+    return map_at(str(pair))

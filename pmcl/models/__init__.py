@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pmcl.models.model_file import read_model
     from pmcl.models.motion import Motion, register_motion
     from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise
+    from pmcl.models.motions.odometry.motion import Differential, Omni
     from pmcl.models.parameters import Parameter, gamma_prior
     from pmcl.models.part import BoundPart, Part
     from pmcl.models.quick import ChannelReading, Misreading, QuickReadings, ReadAs
@@ -28,12 +29,14 @@ if TYPE_CHECKING:
 __all__ = [
     "BoundPart",
     "ChannelReading",
+    "Differential",
     "GrowingIncrementNoise",
     "IncrementNoise",
     "LandmarkNoise",
     "Lidar",
     "Misreading",
     "Motion",
+    "Omni",
     "Parameter",
     "Part",
     "QuickReadings",
@@ -54,12 +57,14 @@ __all__ = [
 _HOMES = {
     "BoundPart": "pmcl.models.part",
     "ChannelReading": "pmcl.models.quick",
+    "Differential": "pmcl.models.motions.odometry.motion",
     "GrowingIncrementNoise": "pmcl.models.motions.increments.motion",
     "IncrementNoise": "pmcl.models.motions.increments.motion",
     "LandmarkNoise": "pmcl.models.sensors.landmarks.sensor",
     "Lidar": "pmcl.models.sensors.lidar.sensor",
     "Misreading": "pmcl.models.quick",
     "Motion": "pmcl.models.motion",
+    "Omni": "pmcl.models.motions.odometry.motion",
     "Parameter": "pmcl.models.parameters",
     "Part": "pmcl.models.part",
     "QuickReadings": "pmcl.models.quick",

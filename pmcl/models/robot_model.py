@@ -15,6 +15,7 @@ from pmcl.errors import LogError, ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.motions.odometry.motion import Differential
 from pmcl.models.parameters import Parameter, PriorTable, log_prior_function, prior_support, prior_table
 from pmcl.models.part import BoundPart, Float, Int, Part
 from pmcl.models.sensor import sensors as registered_sensors
@@ -322,7 +323,10 @@ def log_sequence(logs: RobotLog | Sequence[RobotLog]) -> tuple[RobotLog, ...]:
 
 
 def default_model(log: RobotLog, *, outliers: bool = False) -> RobotModel:
-    """Return the model that fits what a log holds: the paper's motion, Gaussian sensors, the log's own start.
+    """Return the model that fits what a log holds: usual motion and sensors, and the log's own start.
+
+    A robot with a lidar has the odometry model of AMCL for a differential drive, whose alphas its filter will want; any
+    other, and one that never moves, has the paper's motion.
 
     Parameters
     ----------
@@ -339,4 +343,5 @@ def default_model(log: RobotLog, *, outliers: bool = False) -> RobotModel:
     check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     check_flag("outliers", outliers, error=ModelError)
     usual = (sensor.default(log, outliers=outliers) for sensor in registered_sensors().values())
-    return RobotModel(sensors=tuple(sensor for sensor in usual if sensor is not None))
+    motion = Differential() if log.lidars and log.odometry[1:].any() else IncrementNoise()
+    return RobotModel(motion, tuple(sensor for sensor in usual if sensor is not None))

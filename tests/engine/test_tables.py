@@ -25,6 +25,7 @@ from pmcl.engine.tables import (
     with_fields,
 )
 from pmcl.models.motions.increments.table import IncrementMotion, MotionExtras, WanderingExtras
+from pmcl.models.motions.odometry.table import DifferentialMotion, OmniMotion
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
 from pmcl.models.sensors.range_beams.table import RangeBeams, RangeExtras
 from pmcl.registry import registered
@@ -35,12 +36,14 @@ def own_tables(rng):
     poses = made_tables.poses_in_room(rng, 6)
     return {
         IncrementMotion: made_tables.increment_motion(rng),
+        DifferentialMotion: DifferentialMotion(np.zeros((6, 3)), np.full(4, 0.1)),
+        OmniMotion: OmniMotion(np.zeros((6, 3)), np.full(5, 0.1)),
         RangeBeams: made_tables.range_beams(poses, rng),
         LandmarkSightings: made_tables.sightings(6, rng),
     }
 
 
-OWN = [IncrementMotion, RangeBeams, LandmarkSightings]
+OWN = [IncrementMotion, DifferentialMotion, OmniMotion, RangeBeams, LandmarkSightings]
 
 
 def with_all_extras(table):

@@ -12,6 +12,7 @@ from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_file import model_text, read_model
 from pmcl.models.motions.increments.motion import GrowingIncrementNoise, IncrementNoise
+from pmcl.models.motions.odometry.motion import Differential, Omni
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
@@ -47,6 +48,8 @@ def read_back(model, log, folder):
         RobotModel(sensors=RANGES),
         RobotModel(sensors=(RangeNoise(outliers=True),)),
         RobotModel(GrowingIncrementNoise(), RANGES),
+        RobotModel(Differential(), RANGES, fixed={"alpha4": 0.02}),
+        RobotModel(Omni(), RANGES, priors={"alpha5": stats.uniform(loc=0.01, scale=2)}),
         RobotModel(sensors=RANGES, start=StartBelief((1.0, 1.0, 0.0), (0.1, 0.2, INF))),
         RobotModel(sensors=RANGES, start=StartBelief(mean=(1.0, 1.0, 0.5))),
         RobotModel(sensors=RANGES, start=StartBelief(std=(INF, INF, INF))),
@@ -114,7 +117,7 @@ def test_the_text_is_toml_with_units(sonar_log):
 MISTAKES = {
     'mottion = "increment"': ("'mottion'", "did you mean 'motion'"),
     'motion = "growin"': ("'motion'", "did you mean 'growing'"),
-    "motion = 3": ("'motion'", "'increment' or 'growing', but got 3"),
+    "motion = 3": ("'motion'", "'growing' or 'differential' or 'omni', but got 3"),
     'start = "anywere"': ("'start'", "did you mean 'anywhere'"),
     "[start]\nmeen = [0, 0, 0]": ("'start.meen'", "did you mean 'mean'"),
     "[start]\nmean = [0, 0]": ("'start.mean'", "three numbers"),

@@ -10,6 +10,7 @@ import numpy as np
 from pmcl.engine.tables import FieldView, with_fields
 from pmcl.errors import ModelError
 from pmcl.models.motions.increments.table import IncrementMotion
+from pmcl.models.motions.odometry.table import DifferentialMotion, OmniMotion
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
 from pmcl.models.sensors.range_beams.table import RangeBeams
 from pmcl.models.tables import Tables
@@ -40,14 +41,24 @@ def edit_motion(tables: Tables, change: Change, name: str) -> Tables:
     Raises
     ------
     ModelError
-        When the motion is of a type that effect `name` does not know.
+        When the motion is of a type that effect `name` does not know, or has no field that the effect changes: the
+        noise of motion by odometry follows from its alphas.
     """
-    if not isinstance(tables.motion, IncrementMotion):
+    motion: Any = tables.motion
+    if isinstance(motion, (DifferentialMotion, OmniMotion)):
+        try:
+            return tables._replace(motion=motion._replace(**change(FieldView(motion))))
+        except (AttributeError, ValueError) as error:  # it has the increments themselves, and nothing of their noise
+            raise ModelError(
+                f"effect {name}: expected increments with a noise of their own, but the noise of a "
+                f"{type(motion).__name__} follows from its alphas; leave the effect out, or use motion = 'increment'"
+            ) from error
+    if not isinstance(motion, IncrementMotion):
         raise ModelError(
-            f"effect {name}: expected motion by noisy increments, but got a {type(tables.motion).__name__}; "
+            f"effect {name}: expected motion by noisy increments or by odometry, but got a {type(motion).__name__}; "
             "leave the effect out"
         )
-    return tables._replace(motion=with_fields(tables.motion, change(FieldView(tables.motion))))
+    return tables._replace(motion=with_fields(motion, change(FieldView(motion))))
 
 
 def edit_beams(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:
