@@ -14,6 +14,7 @@ from pmcl.cli.demo import demo
 from pmcl.cli.effects import effects
 from pmcl.cli.example import example
 from pmcl.cli.export import export
+from pmcl.cli.identify import identify
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
 from pmcl.cli.simulate import simulate
@@ -32,7 +33,10 @@ def pmcl() -> None:
     """
 
 
-for command in (demo, simulate, convert, calibrate, criticize, compare, localize, export, report, effects, example):
+_COMMANDS = (
+    demo, simulate, convert, identify, calibrate, criticize, compare, localize, export, report, effects, example,
+)  # fmt: skip
+for command in _COMMANDS:
     pmcl.add_command(command)
 
 for command in (bag, carmen, csv, wean):

@@ -1,0 +1,255 @@
+"""Which parameters a log can tell, and how well, before it is calibrated."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.checks import check_flag, check_seed, check_type
+from pmcl.errors import FilterError, LogError, ModelError, PmclError
+from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta, with_estimated_path
+from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
+from pmcl.identifiability.approximate import WeightedDraws, log_posterior, mode_of, weighted_draws
+from pmcl.identifiability.drives import Drive, drives_for, information_per_row
+from pmcl.identifiability.evidence import LinearisedEvidence, improved
+from pmcl.identifiability.result import CANNOT_TELL, Advice, Identification, Prediction
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.parameters import Parameter
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model
+from pmcl.preflight.check import require_rows
+from pmcl.sampling.transforms import Unconstrained
+
+__all__ = ["identify"]
+
+Float = NDArray[np.float64]
+
+# Rounds of (path under theta, linearise there, theta that is most probable then); on the logs of
+# analyses/identifiability theta changes by less than a tenth of its posterior sd after the second.
+_ROUNDS = 3
+# Paths drawn backward, whose mean is the reference.
+_PATHS = 40
+# Durations that an advice may have [min], and that of the table of drives [s].
+_MINUTES = (1.0, 2.0, 5.0, 10.0)
+_TABLE_SECONDS = 60.0
+# Rows of a prior's quantiles, from which its spread in unconstrained parameters is computed.
+_QUANTILES = 400
+# Correlations above this are told.
+_STRONG = 0.7
+# Fewer effective draws than these are told: standard deviations are then uncertain by a tenth or more.
+_FEW_DRAWS = 50.0
+# Odometry to the side, as a share of that ahead, from which on a robot is taken to be able to move sideways.
+_SIDEWAYS = 0.1
+
+
+def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = True, seed: int = 0) -> Identification:
+    """Predict how well a calibration will know each parameter, and what to drive to learn the others.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log. Its reference trajectory and true parameters are never read.
+    model : RobotModel, optional
+        The default model of the log when left out (:func:`pmcl.models.robot_model.default_model`).
+    drives : bool
+        Whether to try drives that might tell more.
+    seed : int
+        All randomness follows from it.
+
+    Returns
+    -------
+    Identification
+        Cost: a few particle filters of 1000 particles and some thousand passes of a Kalman smoother; about a second
+        for 400 rows.
+
+    Raises
+    ------
+    LogError, ModelError, MapError
+        When log and model do not fit each other.
+    FilterError
+        When the filter loses the robot whatever the noise.
+
+    Notes
+    -----
+    The path is integrated out in the model that is linearised around the smoothed path
+    (:mod:`pmcl.identifiability.evidence`); the posterior of theta follows by importance sampling. Predictions are as
+    good as that Gaussian approximation of the path: where the robot may be lost, they are too narrow.
+    """
+    check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
+    if model is not None:
+        check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
+    check_flag("drives", drives, error=ModelError)
+    seed = check_seed(seed, error=ModelError)
+    require_rows(log)
+    model = default_model(log) if model is None else model
+    log = with_estimated_path(log.without_truth(), model, seed=seed)
+    bound = model.bind(log)
+    if bound.dimension == 0:
+        raise ModelError("expected at least one free parameter, but the model fixes all of them; free one")
+    transform = Unconstrained(bound.parameters)
+    evidence, mode = _most_probable(bound, transform, seed)
+    draws = weighted_draws(bound, log_posterior(evidence, transform), mode, transform, seed)
+    path = evidence.references[0]
+    predictions, prior_spread = _predictions(bound.parameters, draws, transform)
+    tried: dict[Drive, Float] = {}
+    notes = []
+    if draws.effective_size < _FEW_DRAWS:
+        notes.append(f"the standard deviations are rough: they rest on {draws.effective_size:.0f} effective draws")
+    if drives:
+        tried, failures = _information_of_drives(log, path, model, draws, transform, seed)
+        notes += failures
+    of_motion = {parameter.name for parameter in model.motion.parameters}
+    shares, predictions = _with_advice(log, predictions, prior_spread, draws, tried, of_motion)
+    return Identification(
+        where=log.where,
+        robot=log.robot,
+        rows=log.n_steps,
+        readings=log.n_readings,
+        duration=float(log.times[-1] - log.times[0]),
+        predictions=predictions,
+        drives=shares,
+        correlations=_correlations(bound.names, draws),
+        effective_draws=draws.effective_size,
+        notes=tuple(notes),
+    )
+
+
+def _most_probable(bound: BoundModel, transform: Unconstrained, seed: int) -> tuple[LinearisedEvidence, Float]:
+    """Return the evidence linearised at the most probable theta and path, and that theta in unconstrained form."""
+    rng = make_rng(np.random.SeedSequence((seed, 61)))
+    theta = plausible_theta(bound, rng)
+    evidence = None
+    for _ in range(_ROUNDS):
+        try:
+            tables = bound.tables(theta)[0]
+            filtered = run_filter(tables, bound.lengths[0], START_PARTICLES, rng)
+            reference = draw_paths(tables, filtered, _PATHS, rng).mean(axis=0)
+        except FilterError:
+            # The particles of the round before follow the robot; better noise may be too sharp for so few.
+            if evidence is None:
+                raise
+            reference = evidence.references[0]
+        evidence = improved(LinearisedEvidence(bound, theta, [reference]), theta)
+        density = log_posterior(evidence, transform)
+        start = transform.to_line(theta)
+        if not math.isfinite(density(start)):
+            raise FilterError(
+                f"{bound.logs[0].where}: the model cannot be linearised along the smoothed path, so nothing can be "
+                "predicted; calibrate instead, and look at the posterior"
+            )
+        theta = transform.from_line(mode_of(density, start))[0]
+    assert evidence is not None
+    return evidence, transform.to_line(theta)
+
+
+def _predictions(
+    parameters: tuple[Parameter, ...], draws: WeightedDraws, transform: Unconstrained
+) -> tuple[tuple[Prediction, ...], Float]:
+    """Return what is predicted of each parameter, and the spread of each prior in unconstrained form (d,)."""
+    share = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+    quantiles = np.column_stack([np.asarray(parameter.prior.ppf(share), dtype=float) for parameter in parameters])
+    prior_spread = transform.to_line(quantiles).std(axis=0)
+    mean, std, limit = draws.mean(), draws.std(), draws.quantile(0.95)
+    spread = np.sqrt(np.diag(draws.moments()[1]))
+    predictions = []
+    for k, parameter in enumerate(parameters):
+        prior_std = float(parameter.prior.std())
+        if not math.isfinite(prior_std):
+            prior_std = float(quantiles[:, k].std())
+        predictions.append(
+            Prediction(
+                name=parameter.name,
+                unit=parameter.unit,
+                description=parameter.description,
+                relative=parameter.scales_noise,
+                mean=float(mean[k]),
+                std=float(std[k]),
+                limit=float(limit[k]),
+                prior_mean=float(parameter.prior.mean()),
+                prior_std=prior_std,
+                share=float(min(std[k] / prior_std, spread[k] / prior_spread[k])),
+            )
+        )
+    return tuple(predictions), prior_spread
+
+
+def _information_of_drives(
+    log: RobotLog, path: Float, model: RobotModel, draws: WeightedDraws, transform: Unconstrained, seed: int
+) -> tuple[dict[Drive, Float], list[str]]:
+    """Return the information of each drive per row, and what hindered any."""
+    theta = transform.from_line(draws.moments()[0])[0]
+    if path.shape[1] < 3:
+        return {}, ["no drives were tried: the state of this model is no pose"]
+    found: dict[Drive, Float] = {}
+    problems = []
+    for drive in drives_for(log, path, sideways=_moves_sideways(log, model)):
+        try:
+            found[drive] = information_per_row(drive, log, path, model, theta, seed)
+        except PmclError as error:
+            problems.append(str(error))
+    # A sensor that cannot be simulated, for example, lets no drive be tried.
+    return found, [] if found else [f"no drives were tried: {problems[0]}"]
+
+
+def _moves_sideways(log: RobotLog, model: RobotModel) -> bool:
+    ahead, aside, _ = np.sqrt(np.mean(np.square(log.odometry[1:]), axis=0))
+    return bool(getattr(model.motion, "moves_sideways", False)) or bool(aside > _SIDEWAYS * ahead)
+
+
+def _with_advice(
+    log: RobotLog,
+    predictions: tuple[Prediction, ...],
+    prior_spread: Float,
+    draws: WeightedDraws,
+    tried: Mapping[Drive, Float],
+    of_motion: set[str],
+) -> tuple[dict[str, tuple[float, ...]], tuple[Prediction, ...]]:
+    """Return the shares after a minute of each drive, and the predictions with what to drive."""
+    covariance = draws.moments()[1]
+    precision = np.linalg.inv(covariance + 1e-12 * np.eye(len(predictions)))
+    spread = np.sqrt(np.diag(covariance))
+    rows_per_second = 1.0 / float(np.median(np.diff(log.times)))
+
+    def factors(information: Float, seconds: float) -> Float:
+        """By what each standard deviation is multiplied."""
+        total = precision + seconds * rows_per_second * information
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(total))) / spread)
+
+    own = np.array([prediction.share for prediction in predictions])
+    shares = {
+        drive.name: tuple((own * factors(each, _TABLE_SECONDS)).tolist()) for drive, each in tried.items()
+    }
+    advised = []
+    for k, prediction in enumerate(predictions):
+        advice = None
+        if not prediction.can_tell and tried:
+            for minutes in _MINUTES:
+                # How a robot drives is learnt from driving.
+                by_drive = {
+                    drive.name: float(factors(each, 60.0 * minutes)[k])
+                    for drive, each in tried.items()
+                    if drive.moves or prediction.name not in of_motion
+                }
+                best = min(by_drive, key=lambda name: by_drive[name])
+                share = float(spread[k] / prior_spread[k]) * by_drive[best]
+                if share <= CANNOT_TELL:
+                    advice = Advice(best, minutes, prediction.std * by_drive[best], share)
+                    break
+        advised.append(dataclasses.replace(prediction, advice=advice, tried=bool(tried)))
+    return shares, tuple(advised)
+
+
+def _correlations(names: tuple[str, ...], draws: WeightedDraws) -> tuple[tuple[str, str, float], ...]:
+    covariance = draws.moments()[1]
+    std = np.sqrt(np.diag(covariance))
+    matrix = covariance / np.outer(std, std)
+    pairs = [
+        (names[j], names[i], float(matrix[i, j]))
+        for i in range(len(names))
+        for j in range(i)
+        if abs(matrix[i, j]) > _STRONG
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
