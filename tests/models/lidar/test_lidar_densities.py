@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles import grid_maps
-from oracles.grid_maps import beam_density, beam_probability
+from oracles.grid_maps import beam_density
 
 from pmcl.engine import contract
-from pmcl.engine.tables import with_fields
 from pmcl.logs import LidarScans, RobotLog
 from pmcl.maps import OccupancyGrid
 from pmcl.models import Lidar
-from pmcl.models.sensors.lidar.geometry import lengths_along
 from pmcl.models.sensors.lidar.kernels.casting import WALL_DEPTH
-from pmcl.models.sensors.lidar.tempering import usual_exponent
 
 FIELD_THETA = np.array([0.13, 0.2])
 BEAM_THETA = np.array([0.13, 0.15, 0.1, 0.2, 0.7])
