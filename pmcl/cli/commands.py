@@ -8,7 +8,7 @@ from pmcl.cli.application import Application
 from pmcl.cli.calibrate import calibrate
 from pmcl.cli.compare import compare
 from pmcl.cli.convert import convert
-from pmcl.cli.convert_lidars import bag, carmen, wean
+from pmcl.cli.convert_lidars import bag, carmen, csv, wean
 from pmcl.cli.criticize import criticize
 from pmcl.cli.demo import demo
 from pmcl.cli.effects import effects
@@ -39,5 +39,5 @@ _COMMANDS = (
 for command in _COMMANDS:
     pmcl.add_command(command)
 
-for command in (bag, carmen, wean):
+for command in (bag, carmen, csv, wean):
     convert.add_command(command)

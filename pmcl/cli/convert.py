@@ -85,6 +85,7 @@ def barfoot(source: str, output: Path, **settings: Any) -> None:
 def write_log(log: RobotLog, output: Path) -> None:
     """Write a log, and say what is in it and what was left out."""
     from pmcl.logs.finding import warn_of
+    from pmcl.logs.grid_map import map_to_name
     from pmcl.preflight.check import disagreements
 
     log.write(output)
@@ -98,3 +99,5 @@ def write_log(log: RobotLog, output: Path) -> None:
             f"{value} ({str(name).removeprefix('dropped_').replace('_', ' ')})" for name, value in dropped.items()
         )
         click.echo(f"readings left out: {left_out}")
+    if log.grid_map is not None and map_to_name(log.grid_map, str(output)) is None:
+        click.echo("the map is not in the folder of the log: give --map to the commands that use it")

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmcl.cli.convert import write_log
-from pmcl.cli.lidar_options import lidar_options, map_at, three_numbers
+from pmcl.cli.lidar_options import lidar_options, map_at, pose_or_word, three_numbers
 from pmcl.cli.options import output_option, protect_inputs
 
 if TYPE_CHECKING:
     from pmcl.maps.occupancy_grid import OccupancyGrid
 
-__all__ = ["bag", "carmen", "wean"]
+__all__ = ["bag", "carmen", "csv", "wean"]
 
 
 @click.command(short_help="A ROS 1 bag, a ROS 2 folder or an MCAP file: odometry and laser scans.")
@@ -94,6 +94,61 @@ def carmen(ctx: click.Context, /, source: str, output: Path, map_path: str | Non
 
     protect_inputs(ctx, output, [source])
     write_log(read_carmen(source, grid_map=map_at(map_path), **settings), output)
+
+
+# A line with the character \\b alone keeps click from wrapping the lines that follow.
+_CSV_HELP = """Convert a table with one row for each sample, in metres, radians and seconds.
+
+\b
+Columns:
+  time
+  odometry_forward, odometry_left, odometry_turn   since the row before
+  odom_x, odom_y, odom_heading                     or integrated poses
+  range_0, range_1, ...                            single beams
+  scan_0, scan_1, ...                              rays of a lidar
+  range_to_NAME, bearing_to_NAME                   sightings of a landmark
+  true_x, true_y, true_heading                     for scoring only
+
+\b
+Comments above the header, as far as the columns need them:
+  # robot: NAME
+  # beam_0: X Y YAW
+  # max_range: M
+  # wall: X1 Y1 X2 Y2
+  # scan_pose: X Y YAW
+  # scan_angles: FIRST STEP
+  # scan_limits: MIN MAX
+  # landmark NAME: X Y
+  # landmark_sensor: X Y YAW
+  # start: X Y YAW SX SY SYAW
+
+An empty cell was not measured, inf is no echo.
+"""
+
+
+@click.command(help=_CSV_HELP, short_help="A CSV table of your own: time, odometry, ranges, scans, landmarks.")
+@click.argument("source", metavar="TABLE.csv")
+@output_option("The log to write (NetCDF).")
+@click.option("--map", "map_path", metavar="MAP.yaml", help="The map of a lidar, a map_server pair.")
+@click.option(
+    "--sightings",
+    metavar="SIGHTINGS.csv",
+    help="A second table with the columns time, landmark, range, bearing: sightings at times of their own.",
+)
+@click.option(
+    "--start",
+    metavar="reference|anywhere|X,Y,YAW",
+    callback=pose_or_word,
+    help="What is believed about the first pose: the true pose or this one [m, m, rad], within 0.1 m and 0.1 rad, or "
+    "nothing.  [default: what the table says, else anywhere]",
+)
+@click.pass_context
+def csv(ctx: click.Context, /, source: str, output: Path, map_path: str | None, **settings: Any) -> None:
+    """Convert a table with one row for each sample; see the help."""
+    from pmcl.logs.csv_log import read_csv
+
+    protect_inputs(ctx, output, [source])
+    write_log(read_csv(source, grid_map=map_at(map_path), **settings), output)
 
 
 @click.command(short_help="CMU Wean Hall: laser, odometry and a grid map of their own format.")

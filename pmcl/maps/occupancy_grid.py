@@ -155,6 +155,18 @@ class OccupancyGrid:
         return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
     @cached_property
+    def free_bounds(self) -> tuple[float, float, float, float] | None:
+        """Box (xmin, xmax, ymin, ymax) around the free cells in the map frame [m]; None when no cell is free."""
+        free = self.cells == FREE
+        rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+        if not rows.size:
+            return None
+        corners = [(u, v) for u in (columns[0], columns[-1] + 1) for v in (rows[0], rows[-1] + 1)]
+        points = self.from_cells(np.array(corners))
+        low, high = points.min(axis=0), points.max(axis=0)
+        return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+    @cached_property
     def distance_field(self) -> Float:
         """Euclidean distance [m] from each cell's centre to the centre of the nearest occupied cell, (H, W).
 

@@ -123,9 +123,8 @@ def _sensor(part: Part, log: RobotLog) -> tuple[str, Table]:
         value: Any = getattr(part, field.name)
         value = usual.get(field.name) if value is None else value
         if value is not None:
-            # A setting whose usual value is no whole number is written as a float, also where it happens to be one.
-            whole = isinstance(field.default, int)
-            item = tomlkit.item(value if isinstance(value, bool | str) or whole else float(value))
+            as_it_is = isinstance(value, bool | str) or field.metadata.get("whole", False)
+            item = tomlkit.item(value if as_it_is else float(value))
             table[field.name] = item.comment(field.metadata["comment"]) if "comment" in field.metadata else item
     return name, table
 

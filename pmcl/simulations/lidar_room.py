@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmcl.checks import check_seed, check_type, check_whole
 from pmcl.errors import ModelError
@@ -21,10 +22,16 @@ from pmcl.simulations.simulate import draw_theta, make_rng
 
 __all__ = ["lidar_room_map", "simulate_lidar_room"]
 
+Float = NDArray[np.float64]
+
 # An uneven loop between the furniture, in both senses of turning [m].
 _WAYPOINTS = np.array(
     [(9.0, 2.0), (13.0, 3.0), (13.5, 9.5), (10.0, 10.0), (7.5, 6.5), (3.0, 9.5), (2.0, 5.0), (4.0, 2.2)]
 )
+# Furniture: x from, x to, y from, y to [m].
+_FURNITURE = (
+    (5.0, 6.5, 3.8, 4.4), (9.5, 11.5, 4.6, 5.4), (4.2, 5.0, 7.0, 7.6), (0.0, 0.8, 7.0, 9.0), (7.0, 9.0, 11.3, 12.0),
+)  # fmt: skip
 _START = np.array([3.0, 2.0, 0.0])
 _START_STD = np.array([0.1, 0.1, 0.05])
 _USUAL = {
@@ -45,26 +52,27 @@ def lidar_room_map(resolution: float = 0.05) -> OccupancyGrid:
     -------
     OccupancyGrid
         The map frame has its origin in the lower left corner of the room; the map goes on for 1 m behind its walls,
-        which are two cells thick.
+        which are one cell thick.
     """
     width, height = round(18.0 / resolution), round(14.0 / resolution)
     x, y = np.meshgrid((np.arange(width) + 0.5) * resolution - 1.0, (np.arange(height) + 0.5) * resolution - 1.0)
-    thick = 2.0 * resolution
-    inside, outside = ((x > -a) & (x < 16.0 + a) & (y > -a) & (y < 12.0 + a) for a in (0.0, thick))
-    border = outside & ~inside
-    slanted = (np.abs(0.6 * (x - 16.0) + 0.8 * (y - 7.0)) < 0.5 * thick) & (x > 14.5) & (y < 9.0) & (y > 6.0)
-    boxes = [
-        (5.0, 6.5, 3.8, 4.4),
-        (9.5, 11.5, 4.6, 5.4),
-        (4.2, 5.0, 7.0, 7.6),
-        (0.0, 0.8, 7.0, 9.0),
-        (7.0, 9.0, 11.3, 12.0),
-    ]
-    furniture = np.any([(x > a) & (x < b) & (y > c) & (y < d) for a, b, c, d in boxes], axis=0)
-    pillars = np.any([np.hypot(x - a, y - b) < 0.25 for a, b in ((11.5, 7.5), (6.5, 9.8))], axis=0)
-    occupied = border | slanted | furniture | pillars
+    # Outlines, one cell wide, as maps made from scans have them.
+    outlines = [_outline(x, y, (0.0, 16.0, 0.0, 12.0), resolution)]
+    outlines += [_outline(x, y, box, resolution) for box in _FURNITURE]
+    for centre in (11.5, 7.5), (6.5, 9.8):
+        outlines.append(np.abs(np.hypot(x - centre[0], y - centre[1]) - 0.25) < 0.75 * resolution)
+    slanted = np.abs(0.6 * (x - 16.0) + 0.8 * (y - 7.0)) < 0.75 * resolution
+    outlines.append(slanted & (x > 14.5) & (y > 6.0) & (y < 9.0))
+    occupied = np.any(outlines, axis=0)
     origin = (-1.0, -1.0, 0.0)
     return OccupancyGrid(occupied.astype(np.uint8), resolution, origin, source="pmcl.simulations.lidar_room")
+
+
+def _outline(x: Float, y: Float, box: tuple[float, float, float, float], resolution: float) -> NDArray[np.bool_]:
+    """Return which cells, with centres at x and y, lie around a box (x from, x to, y from, y to), in one row."""
+    left, right, low, high = box
+    outer, inner = ((x > left - a) & (x < right + a) & (y > low - a) & (y < high + a) for a in (resolution, 0.0))
+    return np.asarray(outer & ~inner)
 
 
 def simulate_lidar_room(

@@ -12,7 +12,7 @@ import pmcl
 from pmcl import defaults
 from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.cli.commands import pmcl as application
-from pmcl.logs import read_barfoot, read_mrclam
+from pmcl.logs import read_bag, read_barfoot, read_carmen, read_mrclam, read_wean
 
 
 def _commands(group, path=()):
@@ -32,6 +32,9 @@ FUNCTIONS = {
     ("simulate", "aibo"): pmcl.simulate_aibo,
     ("convert", "mrclam"): read_mrclam,
     ("convert", "barfoot"): read_barfoot,
+    ("convert", "bag"): read_bag,
+    ("convert", "carmen"): read_carmen,
+    ("convert", "wean"): read_wean,
 }
 
 

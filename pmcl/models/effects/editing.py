@@ -12,10 +12,13 @@ from pmcl.errors import ModelError
 from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.motions.odometry.table import DifferentialMotion, OmniMotion
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.lidar.table import LidarTable
 from pmcl.models.sensors.range_beams.table import RangeBeams
 from pmcl.models.tables import Tables
 
-__all__ = ["Change", "edit_beams", "edit_landmarks", "edit_motion", "edit_sensors", "settled"]
+__all__ = [
+    "Change", "edit_beams", "edit_landmarks", "edit_lidars", "edit_motion", "edit_ranges", "edit_sensors", "settled",
+]  # fmt: skip
 
 Change = Callable[[Any], Mapping[str, Any]]
 """Takes a table, whose extras read as its own fields, and returns new values of fields by their names."""
@@ -76,6 +79,45 @@ def edit_beams(tables: Tables, change: Change, name: str, *, required: bool = Tr
         Whether there must be such a sensor.
     """
     return edit_sensors(tables, RangeBeams, change, name, "range beams", required=required)
+
+
+def edit_lidars(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:
+    """Return the tables with fields of every table of lidar scans replaced; see :func:`edit_sensors`.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables; they are not changed.
+    change : callable
+        As for :func:`edit_motion`.
+    name : str
+        Name of the effect, for messages.
+    required : bool
+        Whether there must be such a sensor.
+    """
+    return edit_sensors(tables, LidarTable, change, name, "a lidar", required=required)
+
+
+def edit_ranges(tables: Tables, change: Change, name: str) -> Tables:
+    """Return the tables with fields of range beams and of lidars replaced, which have the same names in both.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables; they are not changed.
+    change : callable
+        As for :func:`edit_motion`.
+    name : str
+        Name of the effect, for messages.
+
+    Raises
+    ------
+    ModelError
+        When the model has neither.
+    """
+    if any(isinstance(sensor, LidarTable) for sensor in tables.sensors):
+        return edit_beams(edit_lidars(tables, change, name), change, name, required=False)
+    return edit_beams(tables, change, name)
 
 
 def edit_landmarks(tables: Tables, change: Change, name: str, *, required: bool = True) -> Tables:

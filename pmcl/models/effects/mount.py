@@ -9,11 +9,11 @@ from scipy import stats
 
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import edit_beams, edit_landmarks
+from pmcl.models.effects.editing import edit_beams, edit_landmarks, edit_lidars
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.landmarks import reads_bearing, reads_distance
 from pmcl.models.effects.odometry import moves
-from pmcl.models.effects.ranges import reads_ranges
+from pmcl.models.effects.ranges import reads_ranges, reads_ranges_or_scans
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
@@ -25,18 +25,19 @@ _WIDEST = 1.4
 
 
 def reads_anything(log: RobotLog) -> bool:
-    """Return whether the log has readings of beams or landmarks."""
+    """Return whether the log has any readings."""
     return log.n_readings > 0
 
 
 def has_direction(log: RobotLog) -> bool:
     """Return whether turning the sensor would change its readings; it does not change distances to landmarks."""
     bearing = log.landmark_bearing
-    return reads_ranges(log) or (bearing is not None and not bool(np.isnan(bearing).all()))
+    return reads_ranges_or_scans(log) or (bearing is not None and not bool(np.isnan(bearing).all()))
 
 
-def _remount(tables: Tables, name: str, beams: Any, landmarks: Any) -> Tables:
+def _remount(tables: Tables, name: str, beams: Any, landmarks: Any, lidars: Any) -> Tables:
     tables = edit_beams(tables, beams, name, required=False)
+    tables = edit_lidars(tables, lidars, name, required=False)
     return edit_landmarks(tables, landmarks, name, required=False)
 
 
@@ -56,7 +57,11 @@ def _sensor_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
         # A camera turns about its own axis.
         return {"sensor_pose": seen.sensor_pose + np.array([0.0, 0.0, yaw])}
 
-    return _remount(tables, "sensor-yaw", ring, camera)
+    def laser(scans: Any) -> Any:
+        # So does each laser.
+        return {"beam_pose": scans.beam_pose + np.array([0.0, 0.0, yaw])}
+
+    return _remount(tables, "sensor-yaw", ring, camera, laser)
 
 
 def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
@@ -66,6 +71,7 @@ def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -
         "sensor-offset",
         lambda beams: {"beam_pose": beams.beam_pose + offset},
         lambda seen: {"sensor_pose": seen.sensor_pose + offset},
+        lambda scans: {"beam_pose": scans.beam_pose + offset},
     )
 
 
@@ -76,8 +82,7 @@ def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
     def edit(table: Any) -> dict[str, Any]:
         return {"lag": table.lag + lag}
 
-    tables = edit_beams(tables, edit, "sensor-latency", required=False)
-    return edit_landmarks(tables, edit, "sensor-latency", required=False)
+    return _remount(tables, "sensor-latency", edit, edit, edit)
 
 
 def _moves_and_reads(log: RobotLog) -> bool:

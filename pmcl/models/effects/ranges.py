@@ -8,13 +8,13 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import edit_beams
+from pmcl.models.effects.editing import edit_beams, edit_ranges
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
-__all__ = ["RANGE_EFFECTS", "each_beam", "reads_ranges"]
+__all__ = ["RANGE_EFFECTS", "each_beam", "reads_ranges", "reads_ranges_or_scans"]
 
 _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3"
 
@@ -22,6 +22,11 @@ _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3"
 def reads_ranges(log: RobotLog) -> bool:
     """Return whether the log has range beams with readings."""
     return log.ranges is not None and not bool(np.isnan(log.ranges).all())
+
+
+def reads_ranges_or_scans(log: RobotLog) -> bool:
+    """Return whether the log has readings of range beams or of lidars."""
+    return reads_ranges(log) or any(not bool(np.isnan(laser.ranges).all()) for laser in log.lidars.values())
 
 
 def each_beam(log: RobotLog) -> list[Where]:
@@ -36,11 +41,11 @@ def chosen_beams(where: Where) -> list[int]:
 
 
 def _range_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return edit_beams(tables, lambda beams: {"bias": beams.bias + values[0]}, "range-bias")
+    return edit_ranges(tables, lambda beams: {"bias": beams.bias + values[0]}, "range-bias")
 
 
 def _range_scale(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
-    return edit_beams(tables, lambda beams: {"scale": beams.scale * (1.0 + values[0])}, "range-scale")
+    return edit_ranges(tables, lambda beams: {"scale": beams.scale * (1.0 + values[0])}, "range-scale")
 
 
 def _beam_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
@@ -78,7 +83,7 @@ RANGE_EFFECTS = (
             "wall-moved": "look at every wall from several sides",
         },
         references=(_THRUN,),
-        needs=reads_ranges,
+        needs=reads_ranges_or_scans,
     ),
     Effect(
         name="range-scale",
@@ -97,7 +102,7 @@ RANGE_EFFECTS = (
             "odometry-forward-scale": "drive where one wall stays beside the robot",
         },
         references=(_THRUN,),
-        needs=reads_ranges,
+        needs=reads_ranges_or_scans,
     ),
     Effect(
         name="beam-bias",

@@ -9,6 +9,7 @@ import numpy as np
 
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.maps.occupancy_grid import FREE, OccupancyGrid
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import Float, Int, owned
 from pmcl.models.starts.table import GaussianStart, PoseStart
@@ -70,11 +71,17 @@ class BoundStart:
 
 def _somewhere(log: RobotLog, mean: Float, std: Float) -> PoseStart:
     segments = np.empty((0, 4))
-    walls, landmarks = log.walls, log.landmarks
+    floor, floor_frame = np.empty((0, 0), dtype=np.uint8), np.zeros(5)  # of a grid map
+    walls, landmarks, grid_map = log.walls, log.landmarks, log.grid_map
     if walls is not None:
         x_low, x_high, y_low, y_high = walls.bounds
         if walls.is_closed:
             segments = owned(walls.segments.reshape(-1, 4))
+    elif grid_map is not None:
+        x_low, x_high, y_low, y_high = _free_bounds(grid_map, log.where)
+        floor = (grid_map.cells == FREE).astype(np.uint8)
+        x, y, yaw = grid_map.origin
+        floor_frame = np.array([x, y, np.cos(yaw), np.sin(yaw), grid_map.resolution])
     elif landmarks is not None:
         x_low, x_high, y_low, y_high = landmarks.bounds
         x_low, x_high = x_low - _LANDMARK_MARGIN, x_high + _LANDMARK_MARGIN
@@ -84,6 +91,8 @@ def _somewhere(log: RobotLog, mean: Float, std: Float) -> PoseStart:
             f"{log.where}: a start anywhere on the map needs a map, but the log has none; give start_mean, start_std"
         )
     area = (x_high - x_low) * (y_high - y_low)
+    if floor.size:
+        area = float(floor_frame[4]) ** 2 * int(np.count_nonzero(floor))
     if segments.shape[0]:
         # Even-odd area by a fine grid: outlines may be given wall by wall, in any order and direction.
         grid = np.stack(
@@ -95,4 +104,14 @@ def _somewhere(log: RobotLog, mean: Float, std: Float) -> PoseStart:
         area *= float(np.mean(walls.contains(grid)))
     log_density = -np.log(area) if np.isinf(std[0]) else 0.0
     log_density -= np.log(2.0 * np.pi) if np.isinf(std[2]) else 0.0
-    return PoseStart(mean, std, np.array([x_low, y_low]), np.array([x_high, y_high]), segments, float(log_density))
+    low, high = np.array([x_low, y_low]), np.array([x_high, y_high])
+    return PoseStart(mean, std, low, high, segments, float(log_density), floor, floor_frame)
+
+
+def _free_bounds(grid: OccupancyGrid, where: str) -> tuple[float, float, float, float]:
+    if grid.free_bounds is None:
+        raise ModelError(
+            f"{where}: a start anywhere on the map needs free cells, but the grid map {grid.source} has none; "
+            "check its free_thresh, or give start_mean, start_std"
+        )
+    return grid.free_bounds

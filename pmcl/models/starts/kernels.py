@@ -57,6 +57,21 @@ def inside(segments, x, y):
     return odd
 
 
+@kernel
+def on_floor(start, x, y):
+    """Return whether a position may lie at a point of the map's box: inside the outline and on a free cell."""
+    if start.segments.shape[0] > 0 and not inside(start.segments, x, y):
+        return False
+    rows, columns = start.floor.shape
+    if rows == 0:
+        return True
+    frame = start.floor_frame
+    dx, dy = x - frame[0], y - frame[1]
+    column = math.floor((frame[2] * dx + frame[3] * dy) / frame[4])
+    row = math.floor((frame[2] * dy - frame[3] * dx) / frame[4])
+    return 0 <= column < columns and 0 <= row < rows and start.floor[int(row), int(column)] == 1
+
+
 @draw_start.register(PoseStart)
 def _draw_pose(start, rng, current):
     for i in range(current.shape[1]):
@@ -65,7 +80,7 @@ def _draw_pose(start, rng, current):
             while not accepted:
                 x = start.low[0] + (start.high[0] - start.low[0]) * rng.random()
                 y = start.low[1] + (start.high[1] - start.low[1]) * rng.random()
-                accepted = start.segments.shape[0] == 0 or inside(start.segments, x, y)
+                accepted = on_floor(start, x, y)
             current[0, i], current[1, i] = x, y
         else:
             current[0, i] = start.mean[0] + start.std[0] * rng.standard_normal()
@@ -83,7 +98,7 @@ def _pose_logpdf(start, current, logp):
         x, y, heading = current[0, i], current[1, i], current[2, i]
         if math.isinf(start.std[0]):
             within = start.low[0] <= x <= start.high[0] and start.low[1] <= y <= start.high[1]
-            if not (within and (start.segments.shape[0] == 0 or inside(start.segments, x, y))):
+            if not (within and on_floor(start, x, y)):
                 value = -np.inf
         else:
             for d in range(2):

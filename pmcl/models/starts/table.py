@@ -39,6 +39,10 @@ class PoseStart(NamedTuple):
         Closed outline (x1, y1, x2, y2) [m] inside which the position lies; W = 0 means the whole box.
     log_density : float
         Log density of the uniform parts: minus the log of area and circle, where they apply.
+    floor : ndarray of uint8, shape (H, W)
+        Cells of a grid map, 1 where the position may lie; empty without a grid map.
+    floor_frame : ndarray, shape (5,)
+        Outer corner (x, y) [m] of ``floor[0, 0]``, cosine and sine of the grid's yaw, and the side of a cell [m].
     """
 
     mean: Float
@@ -47,6 +51,8 @@ class PoseStart(NamedTuple):
     high: Float
     segments: Float
     log_density: float
+    floor: NDArray[np.uint8] = np.empty((0, 0), dtype=np.uint8)
+    floor_frame: Float = np.zeros(5)
 
 
 class WiderStart(NamedTuple):

@@ -100,7 +100,7 @@ def test_edits_that_return_no_tables_are_told():
         BY_NAME["bearing-bias"].edit(base_tables(log), [0.0], log)
     moved = base_tables(log)
     moved = moved._replace(motion=moved.start)
-    with pytest.raises(ModelError, match="noisy increments, but got a GaussianStart"):
+    with pytest.raises(ModelError, match="noisy increments or by odometry, but got a GaussianStart"):
         BY_NAME["odometry-arc"].edit(moved, [0.0], log)
 
 

@@ -26,15 +26,20 @@ from pmcl.models.sensors.lidar.grid_arrays import grid_arrays
 from pmcl.models.sensors.lidar.kernels.statistics import BeamReadings, FieldCounts
 from pmcl.models.sensors.lidar.linearisation import empty_like, linearise, moved_linearisation
 from pmcl.models.sensors.lidar.log_variables import LidarVariables
+from pmcl.models.sensors.lidar.quick import quick_scans
 from pmcl.models.sensors.lidar.scoring import rays_that_differ
 from pmcl.models.sensors.lidar.simulation import simulate
 from pmcl.models.sensors.lidar.table import BEAM, FIELD, OPEN_RAY, LidarTable
 from pmcl.models.sensors.lidar.tempering import usual_exponent
 
-__all__ = ["MODELS", "Lidar"]
+__all__ = ["MODELS", "USUAL_BEAMS", "Lidar"]
 
 MODELS = {"likelihood-field": FIELD, "beam": BEAM}
 """The models of a reading by their names in model files."""
+
+USUAL_BEAMS = {"likelihood-field": 60, "beam": 20}
+"""Beams of a scan that are read when nothing is said. nav2 reads 60. A cast ray costs some seventy times as much as a
+look into the field; beams are not independent, so a third of them says nearly as much."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +55,9 @@ class Lidar(LidarVariables, Sensor):
         How one reading is judged, see :class:`~pmcl.models.sensors.lidar.table.LidarTable`.
     exponent : float, optional
         Exponent of each reading's density, in (0, 1]; by default :func:`.usual_exponent` of the beams of a scan.
-    max_beams : int
-        Greatest number of beams of each laser that are read, spread evenly over its scan.
+    max_beams : int, optional
+        Greatest number of beams of each laser that are read, spread evenly over its scan; by default
+        :data:`USUAL_BEAMS`.
 
     Notes
     -----
@@ -61,16 +67,18 @@ class Lidar(LidarVariables, Sensor):
     Readings at or below the laser's `min_range` count as not measured.
 
     Where single readings are foreseen, one under the likelihood field is less than z with probability
-    ``z_hit Phi(s / sigma_hit) + z_rand z / max_range``: s is the distance d of its end from the nearest occupied cell,
-    negative where the ray has not yet met anything. As d is known to within half a cell, the distribution function is
-    given for s less and plus half a cell.
+    ``z_hit Phi(s / sigma_hit) + z_rand z / max_range``. Before the ray meets something, -s is the distance of the
+    reading's end from the nearest occupied cell; behind it, s is that of the mirror image before it. As distances are
+    known to within half a cell, the distribution function is given for s less and plus half a cell.
     """
 
     model: str = field(default="likelihood-field", metadata={"comment": 'or "beam"', "choices": tuple(MODELS)})
     exponent: float | None = field(
         default=None, metadata={"comment": "of each beam's density: beams of a scan are not independent"}
     )
-    max_beams: int = field(default=60, metadata={"comment": "beams of each laser that are read"})
+    max_beams: int | None = field(
+        default=None, metadata={"comment": "beams of each laser that are read", "whole": True}
+    )
 
     table_type: ClassVar[type] = LidarTable
     summary: ClassVar[str] = "scans of lidars on the grid map"
@@ -78,6 +86,7 @@ class Lidar(LidarVariables, Sensor):
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)
+    quick_readings = staticmethod(quick_scans)
     along = staticmethod(along)
     covariates = staticmethod(covariates)
     parts_that_differ = staticmethod(rays_that_differ)
@@ -85,11 +94,14 @@ class Lidar(LidarVariables, Sensor):
     def __post_init__(self) -> None:
         """Check the settings."""
         check_choice("model of the lidar", self.model, tuple(MODELS), error=ModelError)
-        beams = check_whole("max_beams", self.max_beams, 1, error=ModelError, advice="60 are usual")
-        object.__setattr__(self, "max_beams", int(beams))
+        if self.max_beams is not None:
+            beams = int(self.max_beams) if self.max_beams == np.floor(self.max_beams) else self.max_beams
+            check_whole("max_beams", beams, 1, error=ModelError, advice="60 are usual")
+            object.__setattr__(self, "max_beams", beams)
         if self.exponent is not None:
             advice = "1 takes beams as independent; leave it out for the usual exponent"
             exponent = check_number("exponent", self.exponent, 0.0, 1.0, error=ModelError, advice=advice)
+            object.__setattr__(self, "exponent", float(exponent))
             if exponent == 0.0:
                 raise ModelError(f"expected exponent > 0, but got 0, with which no reading says anything; {advice}")
 
@@ -102,13 +114,16 @@ class Lidar(LidarVariables, Sensor):
         return cls() if log.lidars else None
 
     def usual_settings(self, log: LogArrays) -> dict[str, object]:
-        """Return the exponent that a log's scans usually get, when none was chosen."""
-        if self.exponent is not None or not log.lidars:
+        """Return the number of beams and the exponent that a log's scans usually get, where none was chosen."""
+        if not log.lidars:
             return {}
-        return {"exponent": usual_exponent(max(rays.size for rays in self._rays(log).values()))}
+        beams = max(rays.size for rays in self._rays(log).values())
+        usual = {"exponent": usual_exponent(beams), "max_beams": USUAL_BEAMS[self.model]}
+        return {name: value for name, value in usual.items() if getattr(self, name) is None}
 
     def _rays(self, log: LogArrays) -> dict[str, Int]:
-        return {name: chosen_rays(laser.angles.size, self.max_beams) for name, laser in log.lidars.items()}
+        most = USUAL_BEAMS[self.model] if self.max_beams is None else self.max_beams
+        return {name: chosen_rays(laser.angles.size, most) for name, laser in log.lidars.items()}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

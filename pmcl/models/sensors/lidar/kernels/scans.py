@@ -88,14 +88,20 @@ def _place(sensor, pose, scratch):
 
 
 @kernel
-def _expected(sensor, r, i, scratch):
-    """Return what a hit of ray r should read from the i-th place [m]."""
-    c, s, per_cell = scratch[_COSINE, i], scratch[_SINE, i], 1.0 / sensor.resolution
-    mount_x, mount_y, yaw = sensor.beam_pose[r, 0] * per_cell, sensor.beam_pose[r, 1] * per_cell, sensor.beam_pose[r, 2]
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+def _mount(sensor, r):
+    """Return where a ray begins on the robot, in cells, and cosine and sine of its direction there."""
+    per_cell, yaw = 1.0 / sensor.resolution, sensor.beam_pose[r, 2]
+    return sensor.beam_pose[r, 0] * per_cell, sensor.beam_pose[r, 1] * per_cell, math.cos(yaw), math.sin(yaw)
+
+
+@kernel
+def _expected(sensor, r, mount, i, scratch):
+    """Return what a hit of ray r, mounted as :func:`_mount` says, should read from the i-th place [m]."""
+    c, s = scratch[_COSINE, i], scratch[_SINE, i]
+    x, y, cosine, sine = mount
     length = cast_ray(
-        sensor.squares, scratch[_COLUMN, i] + c * mount_x - s * mount_y, scratch[_ROW, i] + s * mount_x + c * mount_y,
-        c * cosine - s * sine, s * cosine + c * sine, sensor.max_range[r] * per_cell,
+        sensor.squares, scratch[_COLUMN, i] + c * x - s * y, scratch[_ROW, i] + s * x + c * y,
+        c * cosine - s * sine, s * cosine + c * sine, sensor.max_range[r] / sensor.resolution,
     )  # fmt: skip
     return expected_range(
         (length + WALL_DEPTH) * sensor.resolution, sensor.scale[r], sensor.bias[r], sensor.max_range[r]
@@ -132,8 +138,9 @@ def _add_scan(sensor, t, pose, logp, scratch):
             z = sensor.reading[t, r]
             if math.isnan(z):
                 continue
+            mount = _mount(sensor, r)
             for i in range(logp.size):
-                total[i] += _beam_logpdf(sensor, r, z, _expected(sensor, r, i, scratch))
+                total[i] += _beam_logpdf(sensor, r, z, _expected(sensor, r, mount, i, scratch))
     else:
         column, row = scratch[_COLUMN], scratch[_ROW]
         for i in range(logp.size):
@@ -162,10 +169,11 @@ def _add_path(sensor, n_steps, pose, logp, scratch):
         total[t] = 0.0
     for r in range(sensor.reading.shape[1]):
         if sensor.model == BEAM:
+            mount = _mount(sensor, r)
             for t in range(n_steps):
                 z = sensor.reading[t, r]
                 if not math.isnan(z):
-                    total[t] += _beam_logpdf(sensor, r, z, _expected(sensor, r, t, scratch))
+                    total[t] += _beam_logpdf(sensor, r, z, _expected(sensor, r, mount, t, scratch))
             continue
         begin_u, begin_v = _end_point(sensor, r, 0.0)
         end_u, end_v = _end_point(sensor, r, 1.0)
@@ -219,8 +227,9 @@ def _late_path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
 @kernel
 def _one_of_beam(sensor, r, z, logp, low, high, scratch):
+    mount = _mount(sensor, r)
     for i in range(logp.size):
-        expected = _expected(sensor, r, i, scratch)
+        expected = _expected(sensor, r, mount, i, scratch)
         logp[i] = _beam_logpdf(sensor, r, z, expected)
         low[i], high[i] = beam_below(
             z, expected, sensor.max_range[r], sensor.std[r], sensor.z_hit, sensor.z_short, sensor.z_max, sensor.z_rand,
@@ -229,19 +238,30 @@ def _one_of_beam(sensor, r, z, logp, low, high, scratch):
 
 
 @kernel
+def _level_of(sensor, r, z, i, scratch):
+    """Return the level at which a reading of ray r ends from the i-th place."""
+    u, v = _end_point(sensor, r, z)
+    c, s = scratch[_COSINE, i], scratch[_SINE, i]
+    x = scratch[_COLUMN, i] + c * u - s * v + _BORDER
+    return level_at(sensor.levels, x, scratch[_ROW, i] + s * u + c * v + _BORDER)
+
+
+@kernel
 def _one_of_field(sensor, r, z, logp, low, high, scratch):
     """Do the same for a likelihood field: see :class:`~pmcl.models.sensors.lidar.sensor.Lidar` for its distribution."""
-    u, v = _end_point(sensor, r, z)
     log_density, half = sensor.level_log_density[sensor.laser[r]], 0.5 * sensor.resolution
-    per_std = math.sqrt(0.5) / sensor.std[r]
+    per_std, mount = math.sqrt(0.5) / sensor.std[r], _mount(sensor, r)
+    unrelated = sensor.z_rand * z / sensor.max_range[r]
     for i in range(logp.size):
-        c, s = scratch[_COSINE, i], scratch[_SINE, i]
-        x = scratch[_COLUMN, i] + c * u - s * v + _BORDER
-        level = level_at(sensor.levels, x, scratch[_ROW, i] + s * u + c * v + _BORDER)
+        level = _level_of(sensor, r, z, i, scratch)
         logp[i] = log_density[level]
-        behind = z > _expected(sensor, r, i, scratch)
-        distance = sensor.level_distance[level] if behind else -sensor.level_distance[level]
-        unrelated = sensor.z_rand * z / sensor.max_range[r]
+        expected = _expected(sensor, r, mount, i, scratch)
+        if z > expected:
+            # As far behind the wall as its mirror image is before it: what the map has behind a wall does not count.
+            mirrored = max(2.0 * expected - z, 0.0)
+            distance = sensor.level_distance[_level_of(sensor, r, mirrored, i, scratch)]
+        else:
+            distance = -sensor.level_distance[level]
         low[i] = sensor.z_hit * 0.5 * math.erfc(-(distance - half) * per_std) + unrelated
         high[i] = sensor.z_hit * 0.5 * math.erfc(-(distance + half) * per_std) + unrelated
 
