@@ -1,8 +1,8 @@
 """The posterior of theta under a linearised model: its mode, and weighted draws of it.
 
 The log evidence of :mod:`~pmcl.identifiability.evidence` plus the log prior is a density of a few dimensions that takes
-some tenth of a millisecond to evaluate. Its mode is found by BFGS in unconstrained parameters; around it, draws of a
-multivariate t are weighted by the density (importance sampling), so that the prior counts with its whole shape where
+some tenth of a millisecond to evaluate. Its mode is found by L-BFGS-B in unconstrained parameters. Around it, draws of
+a multivariate t are weighted by the density (importance sampling), so that the prior counts with its whole shape where
 the log tells nothing.
 """
 
@@ -20,11 +20,17 @@ from pmcl.identifiability.evidence import LinearisedEvidence
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["WeightedDraws", "curvature_at", "log_posterior", "mode_of", "weighted_draws"]
+__all__ = ["TRUST", "WeightedDraws", "curvature_at", "equal_draws", "log_posterior", "mode_of", "weighted_draws"]
 
 Float = NDArray[np.float64]
 
-# What a density of zero counts for BFGS, which knows no infinity [nat].
+TRUST = 0.7
+"""How far unconstrained parameters may move before the readings are linearised again; for a noise, a factor of two.
+
+The shares of gross errors are frozen with a linearisation. Far from where they were computed, a noise near zero would
+seem to explain every reading."""
+
+# What a density of zero counts for L-BFGS-B, which knows no infinity [nat].
 _IMPOSSIBLE = 1e10
 # Step of second differences in unconstrained parameters (for a noise, 5 %): far below a posterior's width, far above
 # rounding errors of evidences of 10^4 nat.
@@ -61,20 +67,22 @@ def log_posterior(evidence: LinearisedEvidence, transform: Unconstrained) -> Cal
 
 
 def mode_of(density: Callable[[Float], float], start: Float) -> Float:
-    """Return the maximum of a log density near `start` (d,), by BFGS.
+    """Return the maximum of a log density within :data:`TRUST` of `start` (d,), by L-BFGS-B.
 
     Parameters
     ----------
     density : callable
         u (d,) to log density.
     start : ndarray, shape (d,)
-        Where to begin.
+        Where to begin, and the centre of the box that is searched.
     """
-    def cost(u: Float) -> float:
-        return -max(density(u), -_IMPOSSIBLE)
 
-    found = optimize.minimize(cost, start.tolist(), method="BFGS", options={"gtol": 1e-2, "maxiter": 100})
-    return np.asarray(found.x if density(found.x) > density(start) else start, dtype=np.float64)
+    def cost(u: Float) -> float:
+        return -max(density(np.asarray(u)), -_IMPOSSIBLE)
+
+    bounds = [(value - TRUST, value + TRUST) for value in start.tolist()]
+    found = optimize.minimize(cost, start.tolist(), method="L-BFGS-B", bounds=bounds, options={"maxiter": 100})
+    return np.asarray(found.x if found.fun < cost(start) else start, dtype=np.float64)
 
 
 def curvature_at(density: Callable[[Float], float], u: Float) -> Float:
@@ -147,6 +155,19 @@ class WeightedDraws(NamedTuple):
         centre = self.weight @ self.u
         offset = self.u - centre
         return np.asarray(centre), np.asarray((self.weight[:, None] * offset).T @ offset)
+
+
+def equal_draws(theta: Float, transform: Unconstrained) -> WeightedDraws:
+    """Return draws of a chain as draws with equal weights.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (N, d)
+        The draws.
+    transform : Unconstrained
+        The map between theta and u.
+    """
+    return WeightedDraws(transform.to_line(theta), theta, np.full(len(theta), 1.0 / len(theta)))
 
 
 def weighted_draws(

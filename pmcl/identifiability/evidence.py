@@ -34,9 +34,11 @@ __all__ = ["LinearisedEvidence", "improved"]
 
 Float = NDArray[np.float64]
 
-# The reference is moved to the mean of the linearised path at most so many times; each time the joint density must
-# grow. Two are enough on landmarks; on walls the density seldom grows more than twice.
-_NEWTON_STEPS = 4
+# The reference is moved towards the mean of the linearised path at most so many times, each time by a step that is
+# halved at most so often until the joint density grows, as long as it grows by more than this [nat].
+_NEWTON_STEPS, _HALVINGS, _LEAST_GAIN = 12, 5, 0.05
+# A reading with at least this probability of being no gross error counts as one that cannot be.
+_WHOLE = 1.0 - 1e-9
 
 
 class LinearisedEvidence:
@@ -91,6 +93,16 @@ class LinearisedEvidence:
             projected = np.einsum("tji,tj->ti", lower, centre)
             value += log_joint(tables, reference) - log_determinant + 0.5 * float(np.vdot(projected, projected))
         return value if math.isfinite(value) else -math.inf
+
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether every reading is linearised with its whole weight, as no gross error can be.
+
+        The weights of mixtures are frozen with the linearisation, so that the evidence means something only near the
+        theta that it was made at.
+        """
+        readings = [linear for of_log in self._readings for linear in of_log]
+        return all(np.all(getattr(linear, "weight", 1.0) > _WHOLE) for linear in readings if linear is not None)
 
     def mean_path(self, theta: Float, number: int = 0) -> Float:
         """Return the mean of one log's linearised path, (T, D); the reference where there is none.
@@ -149,9 +161,16 @@ def improved(evidence: LinearisedEvidence, theta: Float) -> LinearisedEvidence:
     tables = bound.tables(theta)[0]
     value = log_joint(tables, evidence.references[0])
     for _ in range(_NEWTON_STEPS):
-        path = np.ascontiguousarray(evidence.mean_path(theta))
-        found = log_joint(tables, path)
-        if not found > value:
+        old = evidence.references[0]
+        step = evidence.mean_path(theta) - old
+        for halving in range(_HALVINGS):
+            path = np.ascontiguousarray(old + 0.5**halving * step)
+            found = log_joint(tables, path)
+            if found > value:
+                break
+        else:
+            return evidence
+        evidence, grown, value = LinearisedEvidence(bound, theta, [path]), found - value, found
+        if grown < _LEAST_GAIN:
             break
-        evidence, value = LinearisedEvidence(bound, theta, [path]), found
     return evidence

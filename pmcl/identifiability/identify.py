@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.checks import check_flag, check_seed, check_type
+from pmcl.criticism.fitting.quick_fit import LONG, quick_fit
 from pmcl.errors import FilterError, LogError, ModelError, PmclError
 from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta, with_estimated_path
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
-from pmcl.identifiability.approximate import WeightedDraws, log_posterior, mode_of, weighted_draws
+from pmcl.identifiability.approximate import WeightedDraws, equal_draws, log_posterior, mode_of, weighted_draws
 from pmcl.identifiability.drives import Drive, drives_for, information_per_row
 from pmcl.identifiability.evidence import LinearisedEvidence, improved
 from pmcl.identifiability.result import CANNOT_TELL, Advice, Identification, Prediction
@@ -27,9 +28,9 @@ __all__ = ["identify"]
 
 Float = NDArray[np.float64]
 
-# Rounds of (path under theta, linearise there, theta that is most probable then); on the logs of
-# analyses/identifiability theta changes by less than a tenth of its posterior sd after the second.
-_ROUNDS = 3
+# Rounds of (path under theta, linearise there, theta that is most probable then). The first few find the path by a
+# particle filter; the others go on until unconstrained parameters move by less than this.
+_FILTERED_ROUNDS, _MOST_ROUNDS, _SETTLED = 3, 12, 0.05
 # Paths drawn backward, whose mean is the reference.
 _PATHS = 40
 # Durations that an advice may have [min], and that of the table of drives [s].
@@ -37,6 +38,8 @@ _MINUTES = (1.0, 2.0, 5.0, 10.0)
 _TABLE_SECONDS = 60.0
 # Rows of a prior's quantiles, from which its spread in unconstrained parameters is computed.
 _QUANTILES = 400
+# Length of the chain for models with gross errors: standard deviations are then known to about a tenth.
+_EFFORT = LONG
 # Correlations above this are told.
 _STRONG = 0.7
 # Fewer effective draws than these are told: standard deviations are then uncertain by a tenth or more.
@@ -63,7 +66,7 @@ def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = T
     -------
     Identification
         Cost: a few particle filters of 1000 particles and some thousand passes of a Kalman smoother; about a second
-        for 400 rows.
+        for 400 rows. With sensors whose readings may be gross errors, such as lidars, a short chain.
 
     Raises
     ------
@@ -76,7 +79,9 @@ def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = T
     -----
     The path is integrated out in the model that is linearised around the smoothed path
     (:mod:`pmcl.identifiability.evidence`); the posterior of theta follows by importance sampling. Predictions are as
-    good as that Gaussian approximation of the path: where the robot may be lost, they are too narrow.
+    good as that Gaussian approximation of the path: where the robot may be lost, they are too narrow. Densities that
+    are mixtures with gross errors are no Gaussians even along a straight path; for such models one short chain
+    (:func:`pmcl.criticism.fitting.quick_fit.quick_fit`) takes the place of the approximation.
     """
     check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     if model is not None:
@@ -91,8 +96,12 @@ def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = T
         raise ModelError("expected at least one free parameter, but the model fixes all of them; free one")
     transform = Unconstrained(bound.parameters)
     evidence, mode = _most_probable(bound, transform, seed)
-    draws = weighted_draws(bound, log_posterior(evidence, transform), mode, transform, seed)
-    path = evidence.references[0]
+    if evidence.is_gaussian:
+        draws = weighted_draws(bound, log_posterior(evidence, transform), mode, transform, seed)
+        path = evidence.references[0]
+    else:
+        fit = quick_fit(bound, seed, effort=_EFFORT)
+        draws, path = equal_draws(fit.draws, transform), fit.path
     predictions, prior_spread = _predictions(bound.parameters, draws, transform)
     tried: dict[Drive, Float] = {}
     notes = []
@@ -121,17 +130,12 @@ def _most_probable(bound: BoundModel, transform: Unconstrained, seed: int) -> tu
     """Return the evidence linearised at the most probable theta and path, and that theta in unconstrained form."""
     rng = make_rng(np.random.SeedSequence((seed, 61)))
     theta = plausible_theta(bound, rng)
-    evidence = None
-    for _ in range(_ROUNDS):
-        try:
-            tables = bound.tables(theta)[0]
-            filtered = run_filter(tables, bound.lengths[0], START_PARTICLES, rng)
-            reference = draw_paths(tables, filtered, _PATHS, rng).mean(axis=0)
-        except FilterError:
-            # The particles of the round before follow the robot; better noise may be too sharp for so few.
-            if evidence is None:
-                raise
-            reference = evidence.references[0]
+    evidence: LinearisedEvidence | None = None
+    for number in range(_MOST_ROUNDS):
+        reference = None if evidence is None else evidence.references[0]
+        if number < _FILTERED_ROUNDS:
+            reference = _smoothed(bound, theta, rng, reference)
+        assert reference is not None
         evidence = improved(LinearisedEvidence(bound, theta, [reference]), theta)
         density = log_posterior(evidence, transform)
         start = transform.to_line(theta)
@@ -140,9 +144,27 @@ def _most_probable(bound: BoundModel, transform: Unconstrained, seed: int) -> tu
                 f"{bound.logs[0].where}: the model cannot be linearised along the smoothed path, so nothing can be "
                 "predicted; calibrate instead, and look at the posterior"
             )
-        theta = transform.from_line(mode_of(density, start))[0]
+        if not evidence.is_gaussian:
+            break
+        mode = mode_of(density, start)
+        theta = transform.from_line(mode)[0]
+        if number >= _FILTERED_ROUNDS - 1 and np.abs(mode - start).max() < _SETTLED:
+            break
     assert evidence is not None
     return evidence, transform.to_line(theta)
+
+
+def _smoothed(bound: BoundModel, theta: Float, rng: np.random.Generator, before: Float | None) -> Float:
+    """Return the mean of some paths drawn by a particle filter under theta, or the path before where it is lost."""
+    try:
+        tables = bound.tables(theta)[0]
+        filtered = run_filter(tables, bound.lengths[0], START_PARTICLES, rng)
+        return np.asarray(draw_paths(tables, filtered, _PATHS, rng).mean(axis=0))
+    except FilterError:
+        # Noise that fits better may be too sharp for so few particles.
+        if before is None:
+            raise
+        return before
 
 
 def _predictions(
@@ -219,15 +241,17 @@ def _with_advice(
         return np.asarray(np.sqrt(np.diag(np.linalg.inv(total))) / spread)
 
     own = np.array([prediction.share for prediction in predictions])
-    shares = {
-        drive.name: tuple((own * factors(each, _TABLE_SECONDS)).tolist()) for drive, each in tried.items()
-    }
+    driven = np.array([prediction.name in of_motion for prediction in predictions])
+    shares = {}
+    for drive, each in tried.items():
+        after = own * factors(each, _TABLE_SECONDS)
+        # How a robot drives is learnt from driving.
+        shares[drive.name] = tuple((after if drive.moves else np.where(driven, own, after)).tolist())
     advised = []
     for k, prediction in enumerate(predictions):
         advice = None
         if not prediction.can_tell and tried:
             for minutes in _MINUTES:
-                # How a robot drives is learnt from driving.
                 by_drive = {
                     drive.name: float(factors(each, 60.0 * minutes)[k])
                     for drive, each in tried.items()

@@ -136,7 +136,8 @@ class Identification:
     correlations : tuple of (str, str, float)
         Pairs of parameters whose predicted posterior correlation is strong, the strongest first.
     effective_draws : float
-        Effective number of the weighted draws from which standard deviations are computed.
+        Effective number of the weighted draws from which standard deviations are computed; for a model with gross
+        errors, the length of the chain.
     notes : tuple of str
         What a reader should know about how these numbers came about.
     """

@@ -73,7 +73,8 @@ def map_to_name(grid: OccupancyGrid, path: str) -> str | None:
     if source.suffix not in (".yaml", ".yml") or not source.is_file():
         return None
     file = Path(os.path.abspath(source))
-    if not file.is_relative_to(folder):
+    # A link in the folder to a map elsewhere is not followed when the log is read.
+    if not (file.is_relative_to(folder) and file.resolve().is_relative_to(folder.resolve())):
         return None
     try:
         same = OccupancyGrid.read(file).fingerprint() == grid.fingerprint()

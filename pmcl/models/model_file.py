@@ -237,6 +237,8 @@ def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], lo
             if values[setting] <= 0.0:
                 unit = field.metadata.get("comment", "a number")
                 _fail(where, f"{key}.{setting}", f"expected {unit} > 0, but got {values[setting]:g}; correct it")
+            if isinstance(field.default, int) and values[setting].is_integer():
+                values[setting] = int(values[setting])
     try:
         return kind(**values)
     except ModelError as error:

@@ -28,9 +28,12 @@ class Motion(ABC):
     ----------
     summary : str
         What it is, in a few words, for the comments of model files.
+    moves_sideways : bool
+        Whether it is of robots that can move across their heading.
     """
 
     summary: ClassVar[str] = ""
+    moves_sideways: ClassVar[bool] = False
 
     @property
     @abstractmethod

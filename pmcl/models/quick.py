@@ -117,9 +117,15 @@ class QuickReadings(ABC):
     ----------
     particles_anywhere : int
         Particles that find a robot of which nobody says where it started: many where a reading costs little.
+    delays : tuple of float
+        How late or early the stamps of the readings may be by mistake [s]; none where a clock is not asked for.
+    start_may_be_elsewhere : bool
+        Whether readings can tell a robot that starts elsewhere on the map than the log says.
     """
 
     particles_anywhere: ClassVar[int] = 2000
+    delays: ClassVar[tuple[float, ...]] = ()
+    start_may_be_elsewhere: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -143,6 +149,10 @@ class QuickReadings(ABC):
 
     def map_points(self) -> Float | None:
         """Return points (N, 2) [m] whose bounding box holds the map, None for a sensor without one (the default)."""
+        return None
+
+    def free_places(self) -> Float | None:
+        """Return places (N, 2) [m] where a robot may be, None where it may be anywhere in that box (the default)."""
         return None
 
     def margin(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +15,12 @@ from pmcl.errors import LogError
 from pmcl.logs.finding import Finding, warn_of
 from pmcl.logs.plausibility import implausible
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.motions.increments.motion import IncrementNoise
 from pmcl.models.quick import QuickReadings
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensor import sensors
 from pmcl.preflight.evidence import LEVELS, Evidence, evidence_of
-from pmcl.preflight.hypotheses import Hypothesis, hypotheses_of
+from pmcl.preflight.hypotheses import Hypothesis, hypotheses_of, start_elsewhere
 from pmcl.preflight.stretch import stretch_of
 from pmcl.preflight.unrelated import evidence_of_no_relation
 
@@ -34,6 +35,8 @@ _ROWS, _PARTICLES = 160, 200
 _ROWS_ANYWHERE = 100
 # The best mistake and the log as it is are compared again, by so many times the particles.
 _FINER = 5
+# Particles at the stated start, and as many anywhere on the map, when the start itself may be wrong.
+_PARTICLES_ELSEWHERE = 3000
 # Chance of naming some mistake in a sound log that the model describes, by the union bound and Ville's inequality, on
 # either half of the rows alone; both halves must tell the same.
 _ERROR_RATE = 1e-3
@@ -165,11 +168,17 @@ def _mistake(case: _Case, particles: int) -> tuple[Finding, ...]:
     unrelated = evidence_of_no_relation(case.readings, case.rows)
     order = np.argsort(-np.where(np.isnan(gains).any(axis=1), -np.inf, gains.sum(axis=1)))
     best = int(order[0])
-    if best != 0 and _tells(gains[best], len(ways)):
+    found: list[_Explanation] = []
+    told = best != 0 and _tells(gains[best], len(ways))
+    elsewhere = _elsewhere(case, ways[0], len(ways))
+    if told or (best != 0 and elsewhere.tells):
         again = case.evidence((ways[0], ways[best]), _FINER * particles, seed=1)
-        gain = again.rows[1] - again.rows[0]
-        if _tells(gain, len(ways)) and again.rows[1].sum() > unrelated.sum():
-            return (_named(ways[best], float(gain.sum()), case.rows.size),)
+        found.append(_Explanation.of(ways[best], again, len(ways), _tells))
+    found.append(elsewhere)
+    # Where one of them tells, something is wrong; what it is, the better of them says.
+    best_found = max(found, key=lambda one: one.total)
+    if any(one.tells for one in found) and best_found.total > unrelated.sum():
+        return (_named(best_found.way, best_found.gain, case.rows.size),)
     if _tells(unrelated - evidence.rows[0], len(ways)):
         finer = case.evidence(ways[:1], _FINER * particles, seed=1)
         if _tells(unrelated - finer.rows[0], len(ways)):
@@ -177,11 +186,47 @@ def _mistake(case: _Case, particles: int) -> tuple[Finding, ...]:
     if not np.isfinite(case.log.start_std).all():
         # A filter that has not found the robot shows any motion.
         return ()
-    found = _disagreeing(case, evidence.levels, len(ways))
-    if found:
+    disagreeing = _disagreeing(case, evidence.levels, len(ways))
+    if disagreeing:
         finer = case.evidence(ways[:1], _FINER * particles, seed=1)
-        found = _disagreeing(case, finer.levels, len(ways))
-    return found
+        disagreeing = _disagreeing(case, finer.levels, len(ways))
+    return disagreeing
+
+
+class _Explanation(NamedTuple):
+    """A way to read the log: its log evidence, how much more than the log's as it is that is, and whether it tells."""
+
+    way: Hypothesis
+    total: float
+    gain: float
+    tells: bool
+
+    @classmethod
+    def of(cls, way: Hypothesis, pair: Evidence, n_ways: int, tells: Callable[[Float, int], bool]) -> _Explanation:
+        """Judge the second of two ways, `way`, against the first."""
+        gain = pair.rows[1] - pair.rows[0]
+        total = -math.inf if np.isnan(gain).any() else float(pair.rows[1].sum())
+        return cls(way, total, float(gain.sum()), tells(gain, n_ways))
+
+
+def _elsewhere(case: _Case, plain: Hypothesis, n_ways: int) -> _Explanation:
+    """Judge whether the robot starts elsewhere on the map than the log says, where the sensors can show that."""
+    way = start_elsewhere(plain)
+    placed = np.isfinite(case.log.start_std).all()
+    if not placed or not all(read.start_may_be_elsewhere for read in case.readings.values()):
+        return _Explanation(way, -math.inf, -math.inf, False)
+    # As many particles at the stated start as anywhere: else the finer of two filters wins on a sound log.
+    pair = case.evidence((plain, way), _PARTICLES_ELSEWHERE, seed=1)
+    return _Explanation.of(way, pair, n_ways + 1, _tells_at_first)
+
+
+def _tells_at_first(gain: Float, n_ways: int) -> bool:
+    """Tell the same where the explanation need only hold until a filter has found the robot (K,) [nat]."""
+    if np.isnan(gain).any():
+        return False
+    bound = math.log(n_ways / _ERROR_RATE)
+    first, rest = (part.sum() for part in np.array_split(gain, 2))
+    return bool(first > bound and rest > -bound and first + rest > 2.0 * bound)
 
 
 def _tells(gain: Float, n_ways: int) -> bool:
@@ -238,7 +283,9 @@ def _disagreeing(case: _Case, levels: Float, n_ways: int) -> tuple[Finding, ...]
 
 def _usual_values(log: RobotLog, model: RobotModel | None) -> dict[str, float]:
     """Return the prior means of all parameters of the log's default model, and of `model` where that says more."""
-    usual = {parameter.name: float(parameter.prior.mean()) for parameter in default_model(log).parameters}
+    # The quick filter moves its particles by increments, whatever the motion model is.
+    parameters = (*IncrementNoise().parameters, *default_model(log).parameters)
+    usual = {parameter.name: float(parameter.prior.mean()) for parameter in parameters}
     if model is not None:
         given = {parameter.name: float(parameter.prior.mean()) for parameter in model.parameters}
         given |= {name: float(value) for name, value in model.fixed.items()}

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from pmcl.geometry import compose
 from pmcl.logs.arrays import LogArrays
-from pmcl.models.quick import QuickReadings
+from pmcl.models.quick import QuickDensity, QuickReadings
 from pmcl.preflight.hypotheses import Hypothesis
 
 __all__ = ["LEVELS", "Evidence", "evidence_of"]
@@ -39,6 +40,9 @@ _HOPELESS_ANYWHERE = 200.0
 # Noise levels that fall so far behind the best one of their way to read the log no longer count in the mean [nat].
 _NEGLIGIBLE = 20.0
 _ROWS_BETWEEN_CUTS = 5
+# A robot that may start anywhere is looked for among so many poses, for one way to read the log and for all together,
+# by so many rows.
+_CANDIDATES, _CANDIDATES_IN_ALL, _ROWS_TO_FIND = 100_000, 600_000, 4
 # A robot whose odometry says nothing moves as far as that odometry claims, but no further in one row [m, rad].
 _LONGEST_STEP, _LONGEST_TURN = 1.0, 1.5
 
@@ -119,7 +123,21 @@ def evidence_of(
     densities = [read.under([way.for_sensor(name) for way in ways]) for name, read in readings.items()]
     level = np.array(LEVELS)
     groups = _started(log, readings, ways, particles, rng)
-    hopeless = _HOPELESS if np.isfinite(log.start_std).all() else _HOPELESS_ANYWHERE
+    correction = np.zeros_like(groups.x)
+    looked_for = not np.isfinite(log.start_std[:2]).all() and any(
+        read.free_places() is not None for read in readings.values()
+    )
+    n_candidates = min(_CANDIDATES, _CANDIDATES_IN_ALL // n_ways)
+    for h, way in enumerate(ways):
+        if way.start_anywhere or looked_for:
+            mine = groups.way == h
+            found, correction[mine] = _found(
+                readings, way, densities, h, rows, increments[h], n_candidates, particles, rng
+            )
+            for values, column in zip((groups.x, groups.y, groups.heading), found.T, strict=True):
+                values[mine] = column
+    placed = np.isfinite(log.start_std).all() and not any(way.start_anywhere for way in ways)
+    hopeless = _HOPELESS if placed else _HOPELESS_ANYWHERE
     gained = np.full((n_ways, n_rows), np.nan)
     before = np.zeros(n_ways)
     for k, row in enumerate(rows.tolist()):
@@ -127,6 +145,8 @@ def evidence_of(
         log_weight = np.zeros_like(groups.x)
         for density in densities:
             log_weight += density(row, groups.way, level[groups.sensor], groups.x, groups.y, groups.heading)
+        if k == 0:
+            log_weight += correction
         best = log_weight.max(axis=1, keepdims=True)
         weight = np.exp(log_weight - best)
         total = groups.total + best[:, 0] + np.log(weight.mean(axis=1))
@@ -199,8 +219,7 @@ def _started(
         if not known[2]:
             here[:, 2] = 2.0 * np.pi * anywhere[:, 2]
         if not (known[0] and known[1]):
-            low, high = _bounds(readings, hypothesis)
-            here[:, :2] = low + (high - low) * anywhere[:, :2]
+            here[:, :2] = _places(readings, hypothesis, anywhere)
         poses[h] = here
     states = poses[way]
     return _Groups(way, motion, sensor, np.zeros(way.size), *(states[..., k].copy() for k in range(3)))
@@ -212,13 +231,50 @@ def _mapped(way: Hypothesis, poses: Float) -> Float:
     return np.column_stack((poses[:, :2] @ way.map_matrix.T + way.map_shift, np.arctan2(ahead[:, 1], ahead[:, 0])))
 
 
-def _bounds(readings: Mapping[str, QuickReadings], way: Hypothesis) -> tuple[Float, Float]:
-    """Return the lower and upper corner of where a robot can be on the map as a way reads it."""
-    points, margin = next(
-        (points, read.margin()) for read in readings.values() if (points := read.map_points()) is not None
-    )
+def _found(
+    readings: Mapping[str, QuickReadings],
+    way: Hypothesis,
+    densities: Sequence[QuickDensity],
+    h: int,
+    rows: Int,
+    increments: Float,
+    n_candidates: int,
+    n: int,
+    rng: np.random.Generator,
+) -> tuple[Float, Float]:
+    """Look for a robot anywhere on the map, by the first rows.
+
+    Way number `h` has the `increments` (K, 3). Returns poses (n, 3) and the logs of the weights (n,) that make them
+    draws from anywhere on the map (importance sampling): the evidence stays an unbiased estimate.
+    """
+    places = _places(readings, way, rng.random((n_candidates, 2)))
+    poses = np.column_stack((places, 2.0 * np.pi * rng.random(n_candidates)))
+    levels = np.array(LEVELS[1:])
+    log_density = np.zeros((levels.size, n_candidates))
+    now = poses
+    for k, row in enumerate(rows[:_ROWS_TO_FIND].tolist()):
+        now = compose(now, increments[k]) if k else now
+        x, y, heading = (np.broadcast_to(column, log_density.shape) for column in now.T)
+        for density in densities:
+            log_density += density(row, np.full(levels.size, h), levels, x, y, heading)
+    # Little noise finds a robot near a candidate, much noise one that is further from all of them.
+    share = np.exp(log_density - logsumexp(log_density, axis=1, keepdims=True)).mean(axis=0)
+    cumulative = np.cumsum(share)
+    chosen = np.searchsorted(cumulative, (np.arange(n) + rng.random()) / n * cumulative[-1])
+    chosen = np.minimum(chosen, n_candidates - 1)
+    return poses[chosen], -np.log(n_candidates * share[chosen])
+
+
+def _places(readings: Mapping[str, QuickReadings], way: Hypothesis, uniform: Float) -> Float:
+    """Return where robots may be on the map as a way reads it, (n, 2), by uniform numbers (n, >= 2)."""
+    read, points = next((read, points) for read in readings.values() if (points := read.map_points()) is not None)
+    places = read.free_places()
+    if places is not None:
+        chosen = places[(uniform[:, 0] * len(places)).astype(np.int64)]
+        return np.asarray(chosen @ way.map_matrix.T + way.map_shift)
     points = points @ way.map_matrix.T + way.map_shift
-    return points.min(axis=0) - margin, points.max(axis=0) + margin
+    low, high = points.min(axis=0) - read.margin(), points.max(axis=0) + read.margin()
+    return np.asarray(low + (high - low) * uniform[:, :2])
 
 
 def _moved(

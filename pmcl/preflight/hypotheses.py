@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.geometry import between
+from pmcl.geometry import between, compose
 from pmcl.logs.arrays import LogArrays
 from pmcl.models.quick import QuickReadings, ReadAs
 
-__all__ = ["Hypothesis", "hypotheses_of"]
+__all__ = ["Hypothesis", "hypotheses_of", "start_elsewhere"]
 
 Float = NDArray[np.float64]
 
@@ -48,6 +48,8 @@ class Hypothesis:
         Added afterwards [m].
     with_start : bool
         Whether the belief about the start is on the wrong map, too, and changes with it.
+    start_anywhere : bool
+        Whether the robot may start anywhere on the map, whatever the log says.
     """
 
     odometry: Float
@@ -59,6 +61,7 @@ class Hypothesis:
     map_matrix: Float = field(default_factory=lambda: np.eye(2))
     map_shift: Float = field(default_factory=lambda: np.zeros(2))
     with_start: bool = False
+    start_anywhere: bool = False
 
     def for_sensor(self, name: str) -> ReadAs:
         """Return what a sensor needs to know of this way to read the log."""
@@ -77,7 +80,25 @@ def hypotheses_of(log: LogArrays, readings: Mapping[str, QuickReadings]) -> tupl
         Of the sensors that the log has, by their registered names.
     """
     plain = Hypothesis(np.asarray(log.odometry))
-    return (plain, *_of_odometry(log, plain), *_of_sensors(readings, plain), *_of_map(log, readings, plain))
+    return (
+        plain,
+        *_of_odometry(log, plain),
+        *_of_clocks(log, readings, plain),
+        *_of_sensors(readings, plain),
+        *_of_map(log, readings, plain),
+    )
+
+
+def start_elsewhere(plain: Hypothesis) -> Hypothesis:
+    """Return a way to read the log in which only the belief about the start is wrong."""
+    return replace(
+        plain,
+        name="start-elsewhere",
+        finding="the robot seems to start elsewhere on the map than start_mean says",
+        advice="check start_mean and start_std, and that the start and the map are in one frame; start_std = inf says "
+        "that the start is not known",
+        start_anywhere=True,
+    )
 
 
 def _of_odometry(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
@@ -155,6 +176,30 @@ def _of_odometry(log: LogArrays, plain: Hypothesis) -> Iterator[Hypothesis]:
         odometry=np.zeros_like(odometry),
         says_nothing=True,
     )
+
+
+def _of_clocks(log: LogArrays, readings: Mapping[str, QuickReadings], plain: Hypothesis) -> Iterator[Hypothesis]:
+    delays = sorted({delay for read in readings.values() for delay in read.delays})
+    if not delays or not plain.odometry.any():
+        return
+    poses = np.zeros_like(plain.odometry)
+    for k in range(1, len(poses)):
+        poses[k] = compose(poses[k - 1], plain.odometry[k])
+    poses[:, 2] = np.cumsum(plain.odometry[:, 2])
+    for delay in (*delays, *(-delay for delay in delays)):
+        # Where the robot was when a reading was taken that is stamped `delay` later than that; it stood still before.
+        taken = np.column_stack([np.interp(log.times - delay, log.times, column) for column in poses.T])
+        taken[0] = poses[0]
+        odometry = np.zeros_like(poses)
+        odometry[1:] = between(taken[:-1], taken[1:])
+        late = "late" if delay > 0.0 else "early"
+        yield replace(
+            plain,
+            name="stamps-off",
+            finding=f"the stamps of the readings seem to be some {abs(delay):g} s {late} against those of the odometry",
+            advice="check that both come from the same clock, and shift one of them",
+            odometry=odometry,
+        )
 
 
 def _differences(log: LogArrays) -> Float:

@@ -16,11 +16,13 @@ from pmcl.models.motions.odometry.motion import Differential, Omni
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
+from pmcl.models.sensors.lidar.sensor import Lidar
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.models.starts.belief import StartBelief
 from pmcl.sampling.checkpoint import fingerprint
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
+from pmcl.simulations.lidar_room import simulate_lidar_room
 
 INF = float("inf")
 RANGES = (RangeNoise(),)
@@ -66,6 +68,14 @@ def test_sonar_models_come_back_the_same(model, sonar_log, tmp_path):
     back = read_back(model, sonar_log, tmp_path)
     assert fingerprint(back.bind(sonar_log), {}) == fingerprint(model.bind(sonar_log), {})
     assert dict(back.fixed) == dict(model.fixed)
+
+
+@pytest.mark.parametrize("sensor", [Lidar(), Lidar(model="beam", exponent=0.5), Lidar(max_beams=10, exponent=1.0)])
+def test_lidar_models_come_back_the_same(sensor, tmp_path):
+    log = simulate_lidar_room(5)
+    back = read_back(RobotModel(Differential(), (sensor,)), log, tmp_path)
+    assert isinstance(back.sensors[0].max_beams, int)
+    assert fingerprint(back.bind(log), {}) == fingerprint(RobotModel(Differential(), (sensor,)).bind(log), {})
 
 
 @pytest.mark.parametrize(

@@ -104,6 +104,7 @@ class Omni(Motion):
     parameters: tuple[Parameter, ...] = (*_ALPHAS, _ALPHA5)
 
     summary: ClassVar[str] = "AMCL's noise of an omnidirectional drive: along, across, turn"
+    moves_sideways: ClassVar[bool] = True
 
     def bind(self, log: RobotLog) -> BoundOmni:
         """Take the log's odometry; raises ModelError when the robot of a whole log never moves."""

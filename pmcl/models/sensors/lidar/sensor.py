@@ -26,6 +26,7 @@ from pmcl.models.sensors.lidar.grid_arrays import grid_arrays
 from pmcl.models.sensors.lidar.kernels.statistics import BeamReadings, FieldCounts
 from pmcl.models.sensors.lidar.linearisation import empty_like, linearise, moved_linearisation
 from pmcl.models.sensors.lidar.log_variables import LidarVariables
+from pmcl.models.sensors.lidar.quick import quick_scans
 from pmcl.models.sensors.lidar.scoring import rays_that_differ
 from pmcl.models.sensors.lidar.simulation import simulate
 from pmcl.models.sensors.lidar.table import BEAM, FIELD, OPEN_RAY, LidarTable
@@ -85,6 +86,7 @@ class Lidar(LidarVariables, Sensor):
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)
+    quick_readings = staticmethod(quick_scans)
     along = staticmethod(along)
     covariates = staticmethod(covariates)
     parts_that_differ = staticmethod(rays_that_differ)
