@@ -222,16 +222,16 @@ def _field_lines(calibration: Calibration, consumer: Consumer, laser: Laser) -> 
         lines.append(Line(f"{prefix}{name}", float(getattr(found, name)), described(spread, unit)))
     reach = _number(settings, "max_distance", _MAX_DISTANCE)
     lines.append(Line("laser_likelihood_max_dist", reach, "[m] as in the model"))
+    off_map = "1 / laser_max_range, whatever z_rand is" if consumer.normalised else f"as one {reach:g} m from any wall"
+    lines.append(
+        Line("", None, f"{consumer.program} weighs a reading that ends off the map {off_map}; pmcl goes on measuring "
+             f"distances there. Where walls are at the edge of the map's image, add {reach:g} m of unknown cells to it")
+    )  # fmt: skip
     least = laser.beams * math.log(found.z_rand / laser.max_range) if found.z_rand > 0.0 else 0.0
     if not consumer.normalised and least < _LEAST_LOG_WEIGHT:
         lines.append(
             Line("", None, f"CAREFUL: a product over {laser.beams} beams can underflow to 0; {consumer.program} then "
                  f"ignores the scan. Calibrate with at most {int(laser.beams * _LEAST_LOG_WEIGHT / least)} beams")
-        )  # fmt: skip
-    if consumer.normalised:
-        lines.append(
-            Line("", None, "an end point off the map weighs 1 / laser_max_range in beluga, whatever z_rand is; no "
-                 "parameter changes that")
         )  # fmt: skip
     return [line for line in lines if line is not None]
 

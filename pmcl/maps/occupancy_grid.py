@@ -286,6 +286,25 @@ class OccupancyGrid:
         cells = np.array([UNKNOWN, FREE, OCCUPIED], dtype=np.uint8)[rank]
         return OccupancyGrid(cells, k * self.resolution, self.origin, self.source)
 
+    def with_margin(self, width: float) -> OccupancyGrid:
+        """Return the map with unknown cells all round.
+
+        Parameters
+        ----------
+        width : float
+            Least width of the margin [m], not negative.
+
+        Returns
+        -------
+        OccupancyGrid
+            The same cells at the same places, so that the distance field goes on beyond the map's edge.
+        """
+        k = math.ceil(width / self.resolution)
+        # The map's corner has these coordinates in the larger grid; its own axes may be turned.
+        x, y = self.from_cells(np.array([-k, -k], dtype=np.float64))
+        cells = np.pad(self.cells, k, constant_values=UNKNOWN)
+        return OccupancyGrid(cells, self.resolution, (float(x), float(y), self.origin[2]), self.source)
+
     def fingerprint(self) -> str:
         """Return the SHA-256 of cells, resolution and origin, in hexadecimal; the source does not count."""
         return self._fingerprint

@@ -70,6 +70,19 @@ def test_outside_the_grid_nothing_is_known():
     assert (grid.state_at([[0.01, 0.5], [2.49, 0.5]]) == OCCUPIED).all()
 
 
+def test_a_margin_moves_no_cell_and_lets_distances_go_on():
+    grid = OccupancyGrid(ROOM, 0.5, (3.0, -2.0, 0.7))
+    wide = grid.with_margin(1.2)
+    assert wide.cells.shape == (ROOM.shape[0] + 6, ROOM.shape[1] + 6)
+    row, column = np.mgrid[: ROOM.shape[0], : ROOM.shape[1]]
+    centres = grid.from_cells(np.column_stack([column.ravel() + 0.5, row.ravel() + 0.5]))
+    np.testing.assert_array_equal(wide.state_at(centres), ROOM.ravel())
+    np.testing.assert_allclose(wide.distance_field[3:-3, 3:-3], grid.distance_field, atol=1e-12)
+    # The walls of this room are the outermost cells; the next ones outside are one and two cells from them.
+    assert ROOM[1, 0] == OCCUPIED
+    np.testing.assert_allclose(wide.distance_field[4, :3], [1.5, 1.0, 0.5], atol=1e-12)
+
+
 def test_cells_are_copied_unless_nobody_can_write_them():
     cells = ROOM.copy()
     grid = OccupancyGrid(cells, 0.5)

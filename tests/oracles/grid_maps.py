@@ -52,12 +52,10 @@ def field_density(grid, point, sigma, z_rand, max_range, longest=2.0):
     dx, dy = point[0] - x0, point[1] - y0
     column = int(np.floor((np.cos(yaw) * dx + np.sin(yaw) * dy) / grid.resolution))
     row = int(np.floor((np.cos(yaw) * dy - np.sin(yaw) * dx) / grid.resolution))
-    rows, columns = grid.cells.shape
-    distance = longest
-    if 0 <= column < columns and 0 <= row < rows:
-        occupied = np.argwhere(grid.cells == 1)
-        nearest = grid.resolution * np.sqrt(((occupied - (row, column)) ** 2).sum(axis=1)).min()
-        distance = min(nearest, longest)
+    # The cells go on outside the map.
+    occupied = np.argwhere(grid.cells == 1)
+    nearest = grid.resolution * np.sqrt(((occupied - (row, column)) ** 2).sum(axis=1)).min()
+    distance = min(nearest, longest)
     return (1.0 - z_rand) * stats.norm.pdf(distance, scale=sigma) + z_rand / max_range
 
 

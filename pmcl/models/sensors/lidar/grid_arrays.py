@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 from pmcl.maps.occupancy_grid import OCCUPIED, OccupancyGrid
 from pmcl.models.part import owned
 from pmcl.models.sensors.lidar.kernels.casting import free_squares
+from pmcl.models.sensors.lidar.table import LONGEST_DISTANCE
 
-__all__ = ["LONGEST_DISTANCE", "GridArrays", "grid_arrays"]
+__all__ = ["GridArrays", "grid_arrays"]
 
 Float = NDArray[np.float64]
-
-LONGEST_DISTANCE = 2.0
-"""Distances to the nearest occupied cell count up to this one [m]: nav2's default of laser_likelihood_max_dist. A
-reading that ends outside the map counts as one at this distance, as in nav2."""
 
 # Numbers of 16 bits tell so many distances apart. A map has more than these only if its cells are below 4 mm; distances
 # are then rounded to 0.03 mm.
@@ -26,7 +23,7 @@ _MOST_LEVELS = 1 << 16
 
 
 class GridArrays(NamedTuple):
-    """Fields of :class:`~pmcl.models.sensors.lidar.table.LidarScans` that come from the map."""
+    """Fields of :class:`~pmcl.models.sensors.lidar.table.LidarTable` that come from the map, with its margin."""
 
     level_distance: Float
     levels: NDArray[np.uint16]
@@ -53,9 +50,10 @@ def grid_arrays(grid: OccupancyGrid) -> GridArrays:
     """
     found = _known.get(grid)
     if found is None:
-        distance, levels = _levels(np.minimum(grid.distance_field, LONGEST_DISTANCE))
-        squares = free_squares(np.ascontiguousarray(grid.cells == OCCUPIED))
-        found = GridArrays(distance, levels, squares, float(grid.resolution), owned(grid.origin))
+        wide = grid.with_margin(LONGEST_DISTANCE)
+        distance, levels = _levels(np.minimum(wide.distance_field, LONGEST_DISTANCE))
+        squares = free_squares(np.ascontiguousarray(wide.cells == OCCUPIED))
+        found = GridArrays(distance, levels, squares, float(wide.resolution), owned(wide.origin))
         _known[grid] = found
     return found
 

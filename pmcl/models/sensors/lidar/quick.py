@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.logs.arrays import LidarScans, LogArrays
 from pmcl.maps.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from pmcl.models.quick import ChannelReading, Misreading, QuickReadings, ReadAs, gauss, some
+from pmcl.models.sensors.lidar.table import LONGEST_DISTANCE
 
 __all__ = ["QuickScans", "ScanChange", "ScanDensity", "quick_scans"]
 
@@ -83,7 +84,9 @@ class QuickScans(QuickReadings):
     def __init__(self, lasers: Mapping[str, LidarScans], grid: OccupancyGrid, noise: float) -> None:
         self.names, self.lasers, self.grid, self.noise = tuple(lasers), tuple(lasers.values()), grid, noise
         self.width_beyond = [_width_beyond(laser) for laser in self.lasers]
-        self.distance = np.pad(grid.distance_field.astype(np.float32), 1, constant_values=np.inf)
+        # As in the model, distances go on outside the map.
+        self.wide = grid.with_margin(LONGEST_DISTANCE)
+        self.distance = np.pad(self.wide.distance_field.astype(np.float32), 1, constant_values=np.inf)
 
     @property
     def rows(self) -> NDArray[np.bool_]:
@@ -127,9 +130,9 @@ class QuickScans(QuickReadings):
         return bool(np.mean(distance < 1.5 * self.grid.resolution) > _SAME)
 
     def distance_at(self, points: Float) -> Float:
-        """Return the distance from the cells of points (..., 2) to the nearest wall [m]; inf outside the grid."""
-        cells = self.grid.to_cells(points)
-        rows, columns = self.grid.cells.shape
+        """Return the distance from the cells of points (..., 2) to the nearest wall [m]; inf far outside the grid."""
+        cells = self.wide.to_cells(points)
+        rows, columns = self.wide.cells.shape
         column = np.clip(cells[..., 0] + 1.0, 0.0, columns + 1.0).astype(np.int64)
         row = np.clip(cells[..., 1] + 1.0, 0.0, rows + 1.0).astype(np.int64)
         return np.asarray(self.distance[row, column], dtype=np.float64)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.tables import Axes, NoExtras
 
-__all__ = ["BEAM", "FIELD", "OPEN_RAY", "LidarExtras", "LidarTable"]
+__all__ = ["BEAM", "FIELD", "LONGEST_DISTANCE", "OPEN_RAY", "LidarExtras", "LidarTable"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -20,6 +20,13 @@ FIELD, BEAM = 0, 1
 # A ray that meets nothing is expected to be this many times the longest range: long enough to have no echo for sure,
 # and finite, so that densities stay finite too.
 OPEN_RAY = 2.0
+
+LONGEST_DISTANCE = 2.0
+"""Distances to the nearest occupied cell count up to this one [m]: nav2's default of laser_likelihood_max_dist.
+
+They go on outside the map. Walls often are the outermost cells of a map, and half of the readings of such a wall end
+behind it. nav2 counts each of these as if it ended this far from any wall: on the recorded robot Jarvis, whose map ends
+at its walls, that moves the estimated positions by 0.08 m."""
 
 
 class LidarExtras(NamedTuple):
@@ -83,13 +90,14 @@ class LidarTable(NamedTuple):
     level_distance : ndarray, shape (K,)
         These distances [m], the distances between centres of cells, ascending; the last is the longest that counts.
     levels : ndarray of uint16, shape (H + 2, W + 2)
-        Number k of each cell's distance. A border of cells around the map stands for everything outside.
+        Number k of each cell's distance, for the map of H x W cells with its margin. A border of cells around it stands
+        for everything further outside.
     squares : ndarray of uint8, shape (4, H, W)
         See :func:`~pmcl.models.sensors.lidar.kernels.casting.free_squares`.
     resolution : float
         Side of a cell [m].
     origin : ndarray, shape (3,)
-        Pose of the outer corner of cell [0, 0] in the map frame [m, m, rad].
+        Pose of the outer corner of cell [0, 0] of the map with its margin, in the map frame [m, m, rad].
     extras : NoExtras or LidarExtras
         What only effects use.
     """
