@@ -41,7 +41,7 @@ def identify(
     """
     if output is not None:
         protect_inputs(ctx, output, [log, *(path for path in (model_file, map_file) if path)])
-    from pmcl.identifiability.identify import identify as run
+    from pmcl.identifiability.workflow import identify as run
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.model_file import read_model
     from pmcl.reports.identification_report import identification_text, write_identification_report

@@ -1,6 +1,6 @@
 """Which parameters a log can tell, and how well, before an hour of sampling; and what to drive to learn the rest.
 
-:func:`~pmcl.identifiability.identify.identify` linearises a model along the smoothed path of a log, integrates the path
+:func:`~pmcl.identifiability.workflow.identify` linearises a model along the smoothed path of a log, integrates the path
 out, and predicts the posterior standard deviation of each parameter. Its result goes to :mod:`pmcl.reports` and the
 command line.
 """
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from pmcl.identifiability.identify import identify
     from pmcl.identifiability.result import Identification, Prediction
+    from pmcl.identifiability.workflow import identify
 
 __all__ = [
     "Identification",
@@ -24,7 +24,7 @@ __all__ = [
 _HOMES = {
     "Identification": "pmcl.identifiability.result",
     "Prediction": "pmcl.identifiability.result",
-    "identify": "pmcl.identifiability.identify",
+    "identify": "pmcl.identifiability.workflow",
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

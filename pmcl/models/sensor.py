@@ -75,9 +75,19 @@ class Sensor(SensorVariables, ABC):
     summary: ClassVar[str] = ""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Remember which class the tables of a type belong to."""
+        """Remember which class the tables of a type belong to; raises ModelError when they belong to another."""
         super().__init_subclass__(**options)
-        if "table_type" in cls.__dict__:
+        if "table_type" not in cls.__dict__:
+            return
+        known = _of_table.setdefault(cls.table_type, cls)
+        if known is not cls:
+            # A notebook may run the cell that defines a class once more.
+            if (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
+                raise ModelError(
+                    f"expected tables of type {cls.table_type.__name__} to belong to one class of sensors, but both "
+                    f"{known.__module__}.{known.__qualname__} and {cls.__module__}.{cls.__qualname__} have it as their "
+                    "table_type; give the second class a table type of its own"
+                )
             _of_table[cls.table_type] = cls
 
     # What a model holds.

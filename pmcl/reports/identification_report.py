@@ -25,7 +25,7 @@ def write_identification_report(found: Identification, path: str | os.PathLike[s
     Parameters
     ----------
     found : Identification
-        The result of :func:`pmcl.identifiability.identify.identify`.
+        The result of :func:`pmcl.identifiability.workflow.identify`.
     path : path-like
         The file; an older file of that name is replaced only when the new one is complete.
 

@@ -65,14 +65,18 @@ def test_what_criticize_refuses(refused, biased, log_file, tmp_path):
 
 
 def test_the_next_commands_name_the_files_that_were_written():
-    told = _next_commands("my log.nc", Path("page.html"), Path("better.toml"), Path("a b.nc"))
+    told = _next_commands("my log.nc", Path("page.html"), Path("better.toml"), Path("a b.nc"), None)
     assert [command for _, command in told] == [
         "pmcl localize OTHER.nc --posterior 'a b.nc' -o track.nc",
         "pmcl report 'a b.nc' -o posterior.html",
         "pmcl calibrate OTHER.nc --model better.toml -o other_posterior.nc",
         "pmcl criticize OTHER.nc --model better.toml -o other.html",
     ]
-    ((_, command),) = _next_commands("my log.nc", Path("page.html"), None, None)
+    on_map = _next_commands("my log.nc", Path("page.html"), Path("better.toml"), Path("a b.nc"), "my map.yaml")
+    assert [command for _, command in on_map] == [
+        command if "report" in command else f"{command} --map 'my map.yaml'" for _, command in told
+    ]
+    ((_, command),) = _next_commands("my log.nc", Path("page.html"), None, None, None)
     assert command == "pmcl criticize 'my log.nc' -o page.html --save-model better.toml --posterior better.nc"
     # Each is a command line that the program understands.
     for _, line in told:

@@ -27,6 +27,7 @@ from pmcl.engine.tables import (
 from pmcl.models.motions.increments.table import IncrementMotion, MotionExtras, WanderingExtras
 from pmcl.models.motions.odometry.table import DifferentialMotion, OmniMotion
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.lidar.table import LidarTable
 from pmcl.models.sensors.range_beams.table import RangeBeams, RangeExtras
 from pmcl.registry import registered
 
@@ -40,10 +41,11 @@ def own_tables(rng):
         OmniMotion: OmniMotion(np.zeros((6, 3)), np.full(5, 0.1)),
         RangeBeams: made_tables.range_beams(poses, rng),
         LandmarkSightings: made_tables.sightings(6, rng),
+        LidarTable: made_tables.lidar_scans(6, rng),
     }
 
 
-OWN = [IncrementMotion, DifferentialMotion, OmniMotion, RangeBeams, LandmarkSightings]
+OWN = [IncrementMotion, DifferentialMotion, OmniMotion, RangeBeams, LandmarkSightings, LidarTable]
 
 
 def with_all_extras(table):
@@ -124,7 +126,7 @@ def test_a_field_adds_the_least_extras_that_have_it(rng):
     assert type(first.extras) is type(second.extras) is WanderingExtras
 
 
-AXES = [(RangeBeams, "beam"), (LandmarkSightings, "landmark"), (IncrementMotion, "time")]
+AXES = [(RangeBeams, "beam"), (LandmarkSightings, "landmark"), (IncrementMotion, "time"), (LidarTable, "beam")]
 
 
 def changed(table, name, axis, place):

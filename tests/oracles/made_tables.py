@@ -8,6 +8,7 @@ from pmcl.maps.walls import WallMap
 from pmcl.models.motions.increments.table import IncrementMotion
 from pmcl.models.sensor import sensors
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
+from pmcl.models.sensors.lidar.table import BEAM, LidarTable
 from pmcl.models.sensors.range_beams.table import RangeBeams
 from pmcl.models.starts.table import GaussianStart, PoseStart
 
@@ -109,6 +110,38 @@ def sightings(n_steps, rng, *, outliers=True, channels=(True, True, True), mount
         size_std=np.array([0.4, 0.5, 0.6, 0.3]),
         outlier_weight=np.array([0.0, 0.1, 0.02, 0.3]) if outliers else np.zeros(4),
         max_range=8.0,
+    )
+
+
+def lidar_scans(n_steps, rng, n_lasers=2):
+    """Scans of two lasers with three rays each on a small grid; the arrays of the map hold any numbers."""
+    n_rays, n_levels, height, width = 3 * n_lasers, 5, 4, 7
+    reading = rng.uniform(0.2, 3.0, (n_steps, n_rays))
+    reading[1, 0], reading[2, :2] = np.nan, 3.2
+    return LidarTable(
+        reading=reading,
+        measured=np.count_nonzero(~np.isnan(reading), axis=1).astype(np.int64),
+        beam_pose=rng.uniform(-0.5, 0.5, (n_rays, 3)),
+        bias=rng.uniform(-0.1, 0.1, n_rays),
+        scale=rng.uniform(0.9, 1.1, n_rays),
+        std=rng.uniform(0.1, 0.3, n_rays),
+        max_range=np.full(n_rays, 3.2),
+        laser=np.repeat(np.arange(n_lasers), 3),
+        ray=np.tile(np.arange(3), n_lasers),
+        names=np.frombuffer(b"scan_front\nscan_back", dtype=np.uint8).copy(),
+        model=BEAM,
+        exponent=0.5,
+        z_hit=0.7,
+        z_short=0.1,
+        z_max=0.05,
+        z_rand=0.15,
+        lambda_short=0.4,
+        level_log_density=rng.normal(size=(n_lasers, n_levels)),
+        level_distance=np.linspace(0.0, 2.0, n_levels),
+        levels=rng.integers(0, n_levels, (height + 2, width + 2)).astype(np.uint16),
+        squares=rng.integers(0, 3, (4, height, width)).astype(np.uint8),
+        resolution=0.1,
+        origin=np.array([-1.0, 0.5, 0.3]),
     )
 
 

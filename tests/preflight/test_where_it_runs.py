@@ -47,6 +47,6 @@ def test_criticize_warns_before_it_fits(wrong_log, monkeypatch, caplog):
 
 def test_convert_warns_and_writes_all_the_same(wrong_log, tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "pmcl"):
-        pmcl.cli.convert._write(wrong_log, tmp_path / "log.nc")
+        pmcl.cli.convert.write_log(wrong_log, tmp_path / "log.nc")
     assert f"{tmp_path / 'log.nc'}: the turns of the odometry seem to have the wrong sign" in caplog.text
     assert (tmp_path / "log.nc").exists()
