@@ -139,12 +139,42 @@ def check_number(
 
 
 def check_seed(value: Any, *, error: type[PmclError], where: str = "") -> int:
-    """Return a seed as an int; raises `error` unless it is a whole number from 0 to 2^64 - 1."""
+    """Return a seed as an int; raises `error` unless it is a whole number from 0 to 2^64 - 1.
+
+    Parameters
+    ----------
+    value : object
+        The seed as it was given.
+    error : type
+        Class of the error.
+    where : str
+        File or function that the message begins with; empty for none.
+
+    Returns
+    -------
+    int
+    """
     return check_whole("seed", value, 0, MOST_SEED, error=error, advice="choose for example 0", where=where)
 
 
 def check_choice(name: str, value: Any, choices: Collection[str], *, error: type[PmclError]) -> str:
-    """Return a value that is one of some texts; raises `error` otherwise, with the nearest one if there is one."""
+    """Return a value that is one of some texts; raises `error` otherwise, with the nearest one if there is one.
+
+    Parameters
+    ----------
+    name : str
+        What the value is, for the message.
+    value : object
+        The value as it was given.
+    choices : collection of str
+        The texts.
+    error : type
+        Class of the error.
+
+    Returns
+    -------
+    str
+    """
     if isinstance(value, str) and value in choices:
         return value
     listed = ", ".join(f"'{choice}'" for choice in choices)
@@ -153,7 +183,21 @@ def check_choice(name: str, value: Any, choices: Collection[str], *, error: type
 
 
 def check_flag(name: str, value: Any, *, error: type[PmclError]) -> bool:
-    """Return a truth value; raises `error` for everything else, also for 0, 1 and texts."""
+    """Return a truth value; raises `error` for everything else, also for 0, 1 and texts.
+
+    Parameters
+    ----------
+    name : str
+        What the value is, for the message.
+    value : object
+        The value as it was given.
+    error : type
+        Class of the error.
+
+    Returns
+    -------
+    bool
+    """
     if isinstance(value, bool | np.bool_):
         return bool(value)
     raise error(f"expected {name} as True or False, but got {_shown(value)}; write one of them")
@@ -162,7 +206,26 @@ def check_flag(name: str, value: Any, *, error: type[PmclError]) -> bool:
 def check_type(
     name: str, value: Any, kind: type[Checked] | tuple[type[Checked], ...], *, error: type[PmclError], advice: str
 ) -> Checked:
-    """Return a value of some type; raises `error` for others."""
+    """Return a value of some type; raises `error` for others.
+
+    Parameters
+    ----------
+    name : str
+        What the value is, for the message.
+    value : object
+        The value as it was given.
+    kind : type or tuple of type
+        The types that are accepted.
+    error : type
+        Class of the error.
+    advice : str
+        What to do, the end of the message.
+
+    Returns
+    -------
+    object
+        The value itself.
+    """
     if isinstance(value, kind):
         return value
     kinds = kind if isinstance(kind, tuple) else (kind,)
@@ -171,7 +234,21 @@ def check_type(
 
 
 def check_path(name: str, value: Any, *, error: type[PmclError]) -> str:
-    """Return a path as text; raises `error` when it is empty, no path, or has a null character."""
+    """Return a path as text; raises `error` when it is empty, no path, or has a null character.
+
+    Parameters
+    ----------
+    name : str
+        What the path is, for the message.
+    value : object
+        The path as it was given.
+    error : type
+        Class of the error.
+
+    Returns
+    -------
+    str
+    """
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
         raise error(f"expected {name} as the path of a file, but got {_shown(value)}; give a text or a pathlib.Path")
@@ -179,7 +256,19 @@ def check_path(name: str, value: Any, *, error: type[PmclError]) -> str:
 
 
 def check_memory(what: str, n_bytes: float, *, error: type[PmclError], advice: str) -> None:
-    """Raise `error` when something would take more memory than the machine has."""
+    """Raise `error` when something would take more memory than the machine has.
+
+    Parameters
+    ----------
+    what : str
+        What would take the memory, for the message.
+    n_bytes : float
+        How much it would take [byte].
+    error : type
+        Class of the error.
+    advice : str
+        What to do, the end of the message.
+    """
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):

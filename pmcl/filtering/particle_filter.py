@@ -248,5 +248,18 @@ def update_path(
 
 
 def log_joint(tables: Tables, path: Float) -> float:
-    """Return log p(path, readings | theta) of a path (T, D) over its own T rows: eq. 16 without the prior of theta."""
+    """Return log p(path, readings | theta), eq. 16 without the prior of theta.
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients of one log under theta.
+    path : ndarray, shape (T, D)
+        A trajectory; T may be less than the log's, and only its rows count then.
+
+    Returns
+    -------
+    float
+        Cost: O(T).
+    """
     return float(smc.joint_terms(tables, path)[0])

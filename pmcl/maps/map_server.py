@@ -295,7 +295,20 @@ def _channels(image: Any) -> tuple[NDArray[Any], NDArray[np.uint8] | None]:
 
 
 def write_map(grid: OccupancyGrid, path: str | os.PathLike[str]) -> None:
-    """Write a grid as a map_server pair: see :meth:`~pmcl.maps.occupancy_grid.OccupancyGrid.write`."""
+    """Write a grid as a map_server pair: see :meth:`~pmcl.maps.occupancy_grid.OccupancyGrid.write`.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    path : path
+        The YAML file to write; the image is written beside it, with the ending ``.pgm``.
+
+    Raises
+    ------
+    MapError
+        When the path does not end in .yaml or .yml, or its folder does not exist.
+    """
     from PIL import Image
 
     file = Path(check_path("path of the map", path, error=MapError))

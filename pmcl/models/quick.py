@@ -160,22 +160,68 @@ class QuickReadings(ABC):
         return 0.0
 
     def is_same_map(self, matrix: Float, shift: Float) -> bool:
-        """Tell whether the map comes out of a similarity as it went in, because it is symmetric; by default not."""
+        """Tell whether the map comes out of a similarity as it went in, because it is symmetric; by default not.
+
+        Parameters
+        ----------
+        matrix : ndarray, shape (2, 2)
+            Rotation, reflection or scaling.
+        shift : ndarray, shape (2,)
+            Translation after it [m].
+
+        Returns
+        -------
+        bool
+        """
         return False
 
 
 def gauss(residual: Float, std: Float) -> Float:
-    """Return the density of a centred normal distribution."""
+    """Return the density of a centred normal distribution.
+
+    Parameters
+    ----------
+    residual, std : ndarray
+        Where, and its standard deviation; shapes that broadcast.
+
+    Returns
+    -------
+    ndarray
+    """
     return np.asarray(np.exp(-0.5 * (residual / std) ** 2) / (_ROOT_2PI * std))
 
 
 def mixed(residual: Float, std: Float, anything: Float | float) -> Float:
-    """Return a normal density mixed with a share :data:`GROSS` of readings that have the density `anything`."""
+    """Return a normal density mixed with that of gross errors, which have the share :data:`GROSS`.
+
+    Parameters
+    ----------
+    residual, std : ndarray
+        As for :func:`gauss`.
+    anything : ndarray or float
+        Density of a gross error.
+
+    Returns
+    -------
+    ndarray
+    """
     return (1.0 - GROSS) * gauss(residual, std) + GROSS * anything
 
 
 def some(which: Int, most: int) -> Int:
-    """Return at most so many of some channels, evenly spread."""
+    """Return at most so many of some channels, evenly spread.
+
+    Parameters
+    ----------
+    which : ndarray of int, shape (N,)
+        The channels.
+    most : int
+        How many at most.
+
+    Returns
+    -------
+    ndarray of int
+    """
     if which.size <= most:
         return which
     chosen: Int = which[np.linspace(0, which.size - 1, most).round().astype(int)]

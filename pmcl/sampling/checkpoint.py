@@ -39,7 +39,20 @@ _ARRAYS = ("chain", "log_prob", "blobs")
 
 
 def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
-    """Return a hash of logs, model, priors and settings: a run may be resumed only by the same run."""
+    """Return a hash of logs, model, priors and settings: a run may be resumed only by the same run.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model, bound to its logs.
+    settings : mapping of str to object
+        All settings of the method and of the run that change its result.
+
+    Returns
+    -------
+    str
+        SHA-256 in hexadecimal.
+    """
     digest = hashlib.sha256()
     for log in bound.logs:
         digest.update(log.fingerprint().encode())

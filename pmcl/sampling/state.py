@@ -139,7 +139,20 @@ def into_blob(state: ChainState, info: SweepInfo, dtype: np.dtype[Any]) -> Any:
 
 
 def from_blob(theta: Float, blob: Any) -> ChainState:
-    """Return the state that :func:`into_blob` made a record of; arrays are copies."""
+    """Return the state that :func:`into_blob` made a record of.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (d,)
+        Parameters, which emcee keeps as coordinates and not in the blob.
+    blob : numpy.void
+        The record.
+
+    Returns
+    -------
+    ChainState
+        Its arrays are copies.
+    """
     values: dict[str, Any] = {
         name: np.array(blob[name]) if np.ndim(blob[name]) else blob[name].item()
         for name in ChainState._fields

@@ -79,7 +79,19 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
 
 
 def restarted(state: State, lost: dict[int, int]) -> State:
-    """Return the state with lost chains replaced by copies of the best one."""
+    """Return the state with lost chains replaced by copies of the best one.
+
+    Parameters
+    ----------
+    state : emcee.State
+        States of all chains.
+    lost : dict of int to int
+        The chain that replaces each lost one.
+
+    Returns
+    -------
+    emcee.State
+    """
     source = np.array([lost.get(k, k) for k in range(state.coords.shape[0])])
     return State(
         state.coords[source],

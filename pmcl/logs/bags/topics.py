@@ -36,7 +36,31 @@ def contents(topics: Mapping[str, Topic]) -> str:
 
 
 def require(topics: Mapping[str, Topic], name: str, kinds: Sequence[str], option: str, where: str) -> str:
-    """Return the name of a topic that was asked for; raises LogError when the bag has no such topic of these types."""
+    """Return the name of a topic that was asked for.
+
+    Parameters
+    ----------
+    topics : mapping of str to Topic
+        Topics of the bag by name.
+    name : str
+        The name as it was given, with or without its slash.
+    kinds : sequence of str
+        Message types that the topic may have.
+    option : str
+        The option that asked for it, for the message.
+    where : str
+        The bag, for the message.
+
+    Returns
+    -------
+    str
+        The name as the bag has it.
+
+    Raises
+    ------
+    LogError
+        When the bag has no such topic of these types.
+    """
     for candidate in (name, f"/{name}"):
         if candidate in topics:
             if topics[candidate].type in kinds:
@@ -51,7 +75,26 @@ def require(topics: Mapping[str, Topic], name: str, kinds: Sequence[str], option
 
 
 def choose_scans(topics: Mapping[str, Topic], asked: Sequence[str], where: str) -> tuple[str, ...]:
-    """Return the topics of the lasers: those that were asked for, else the only one that there is."""
+    """Return the topics of the lasers: those that were asked for, else the only one that there is.
+
+    Parameters
+    ----------
+    topics : mapping of str to Topic
+        Topics of the bag by name.
+    asked : sequence of str
+        What the user asked for; empty for nothing.
+    where : str
+        The bag, for messages.
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    LogError
+        When a topic is not there, or none or several are and nothing was asked for.
+    """
     if asked:
         return tuple(dict.fromkeys(require(topics, name, (SCAN,), "--scan", where) for name in asked))
     found = [name for name, topic in topics.items() if topic.type == SCAN and topic.messages]
@@ -69,7 +112,25 @@ def choose_scans(topics: Mapping[str, Topic], asked: Sequence[str], where: str) 
 def choose_odometry(topics: Mapping[str, Topic], asked: str | None, truth: str | None, where: str) -> str | None:
     """Return the topic of the odometry; None where it stands in tf.
 
-    `asked` is a topic or, when no topic has this name, a frame of tf; `truth` is never chosen without being asked for.
+    Parameters
+    ----------
+    topics : mapping of str to Topic
+        Topics of the bag by name.
+    asked : str, optional
+        A topic or, when no topic has this name, a frame of tf.
+    truth : str, optional
+        The topic of the reference, which is not chosen unless it was asked for.
+    where : str
+        The bag, for messages.
+
+    Returns
+    -------
+    str or None
+
+    Raises
+    ------
+    LogError
+        When there is no odometry, or several topics have it and none was asked for.
     """
     has_tf = any(topic.type == TF for topic in topics.values())
     if asked is not None:

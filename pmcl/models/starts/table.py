@@ -74,7 +74,19 @@ class WiderStart(NamedTuple):
 def wider_start(
     start: GaussianStart | PoseStart | WiderStart, mean: float, std: float
 ) -> GaussianStart | PoseStart | WiderStart:
-    """Return a start belief for a state of one more component."""
+    """Return a start belief for a state of one more component.
+
+    Parameters
+    ----------
+    start : GaussianStart, PoseStart or WiderStart
+        The belief about the components before it.
+    mean, std : float
+        Gaussian belief about the new component, independent of the others.
+
+    Returns
+    -------
+    GaussianStart or WiderStart
+    """
     if isinstance(start, GaussianStart):
         return GaussianStart(np.append(start.mean, mean), np.append(start.std, std))
     if isinstance(start, PoseStart):
