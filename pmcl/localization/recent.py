@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmcl.errors import LogError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.logs.schema import readings, variables
+from pmcl.logs.schema import Variable, readings, variables
+from pmcl.logs.sensor_variables import SensorVariables
 from pmcl.maps.arrays import as_numbers
 from pmcl.registry import sensor_variables
 
@@ -41,6 +42,13 @@ class RecentRows(RobotLog):
         shapes = {name: robot.dataset[name].shape[1:] for name in readings(robot.dataset) if name in robot.dataset}
         values["_rows"] = {name: np.empty((0, *shape)) for name, shape in {"odometry": (3,), **shapes}.items()}
         values["_times"] = np.empty(0)
+        # Asked for once: every row needs them.
+        values["_constants"] = {}
+        values["_declared"] = variables(robot.dataset)
+        values["_readings"] = [
+            (sensor, [name for name in sensor.readings(shapes) if name in shapes])
+            for sensor in sensor_variables().values()
+        ]
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -49,6 +57,9 @@ class RecentRows(RobotLog):
     _seen: int
     _rows: dict[str, Float]
     _times: Float
+    _constants: dict[str, Float | None]
+    _declared: dict[str, Variable]
+    _readings: list[tuple[type[SensorVariables], list[str]]]
 
     def __post_init__(self) -> None:
         """Nothing: the rows are checked as they come."""
@@ -113,7 +124,7 @@ class RecentRows(RobotLog):
         if found.shape != shape:
             size = int(np.prod(shape))
             raise LogError(f"{what}: expected {size} numbers in '{name}', but got shape {found.shape}; NaN is missing")
-        declared = variables(self.dataset)[name]
+        declared = self._declared[name]
         wrong = np.zeros(shape, dtype=bool) if declared.may_be_infinite else np.isinf(found)
         if declared.minimum is not None:
             wrong |= found < declared.minimum
@@ -127,10 +138,9 @@ class RecentRows(RobotLog):
     def readings_of_last_row(self) -> int:
         """Return the number of readings of the latest row."""
         total = 0
-        for sensor in sensor_variables().values():
-            held = {name: self._rows[name][-1:] for name in sensor.readings(self._rows) if name in self._rows}
-            if held:
-                total += int(sensor.count(held)[0])
+        for sensor, names in self._readings:
+            if names:
+                total += int(sensor.count({name: self._rows[name][-1:] for name in names})[0])
         return total
 
     @property
@@ -162,5 +172,9 @@ class RecentRows(RobotLog):
         if name in self._rows:
             return self._rows[name]
         # What belongs to the rows of the log that was given belongs to no row here.
-        declared = variables([name]).get(name)
-        return None if declared is not None and "time" in declared.dims else super()._optional(name)
+        declared = self._declared.get(name)
+        if declared is not None and "time" in declared.dims:
+            return None
+        if name not in self._constants:
+            self._constants[name] = super()._optional(name)
+        return self._constants[name]

@@ -125,12 +125,17 @@ class WallMap:
         start, stop : ndarray of int, shape (W,)
             Wall w runs from ``vertices[start[w]]`` to ``vertices[stop[w]]``.
         """
+        vertices, start, stop = self._edges
+        return vertices.copy(), start.copy(), stop.copy()
+
+    @cached_property
+    def _edges(self) -> tuple[Float, Int, Int]:
         ends = self.segments.reshape(-1, 2)
         # Adding zero turns -0.0 into 0.0; keeping the first spelling returns coordinates as they were given.
         rounded = np.round(ends, _CORNER_DECIMALS) + 0.0
         _, first, index = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         edges = index.reshape(-1, 2).astype(np.int64)
-        return ends[first], edges[:, 0].copy(), edges[:, 1].copy()
+        return ends[first], edges[:, 0], edges[:, 1]
 
 
 def _point(xy: Float) -> str:
