@@ -133,19 +133,21 @@ def ray_lengths(squares, resolution, origin, beam_pose, max_range, path):
         Lengths [m], :data:`WALL_DEPTH` cells behind the near side of the cell that is met; inf where a ray meets
         nothing within `max_range`.
     """
-    lengths = np.empty((path.shape[0], beam_pose.shape[0]))
+    n_rays = beam_pose.shape[0]
+    lengths, cosine, sine = np.empty((path.shape[0], n_rays)), np.empty(n_rays), np.empty(n_rays)
+    for r in range(n_rays):
+        cosine[r], sine[r] = math.cos(beam_pose[r, 2]), math.sin(beam_pose[r, 2])
     c0, s0 = math.cos(origin[2]), math.sin(origin[2])
     per_cell = 1.0 / resolution
     for t in range(path.shape[0]):
         x, y, heading = path[t, 0] - origin[0], path[t, 1] - origin[1], path[t, 2] - origin[2]
         column, row = (c0 * x + s0 * y) * per_cell, (c0 * y - s0 * x) * per_cell
         c, s = math.cos(heading), math.sin(heading)
-        for r in range(beam_pose.shape[0]):
+        for r in range(n_rays):
             mount_x, mount_y = beam_pose[r, 0] * per_cell, beam_pose[r, 1] * per_cell
-            angle = heading + beam_pose[r, 2]
             length = cast_ray(
                 squares, column + c * mount_x - s * mount_y, row + s * mount_x + c * mount_y,
-                math.cos(angle), math.sin(angle), max_range[r] * per_cell,
+                c * cosine[r] - s * sine[r], s * cosine[r] + c * sine[r], max_range[r] * per_cell,
             )  # fmt: skip
             lengths[t, r] = (length + WALL_DEPTH) * resolution
     return lengths
