@@ -9,7 +9,8 @@ To add a method, write one module with a subclass of :class:`CalibrationMethod` 
 --method`` with an option for each setting, ``pmcl compare`` and the checkpoint then know it. Read
 :mod:`~pmcl.calibration.method` first, then :mod:`~pmcl.calibration.ensemble` as the shorter example;
 :mod:`~pmcl.calibration.settings` declares settings, :mod:`~pmcl.calibration.methods` finds methods by name,
-:mod:`~pmcl.calibration.workflow` is :func:`calibrate`. The work is done by :mod:`pmcl.sampling`.
+:mod:`~pmcl.calibration.workflow` is :func:`calibrate`, and :mod:`~pmcl.calibration.tempering` chooses how far the
+readings of a lidar are tempered. The work is done by :mod:`pmcl.sampling`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pmcl.calibration.method import CalibrationMethod, Variant
     from pmcl.calibration.particle_gibbs import ParticleGibbs
     from pmcl.calibration.settings import setting
+    from pmcl.calibration.tempering import Tempering, held_out_exponent, with_exponent
     from pmcl.calibration.workflow import calibrate
     from pmcl.sampling.chains import Chains, PointEstimate
     from pmcl.sampling.options import RunOptions
@@ -34,9 +36,12 @@ __all__ = [
     "ParticleGibbs",
     "PointEstimate",
     "RunOptions",
+    "Tempering",
     "Variant",
     "calibrate",
+    "held_out_exponent",
     "setting",
+    "with_exponent",
 ]
 
 _HOMES = {
@@ -46,9 +51,12 @@ _HOMES = {
     "ParticleGibbs": "pmcl.calibration.particle_gibbs",
     "PointEstimate": "pmcl.sampling.chains",
     "RunOptions": "pmcl.sampling.options",
+    "Tempering": "pmcl.calibration.tempering",
     "Variant": "pmcl.calibration.method",
     "calibrate": "pmcl.calibration.workflow",
+    "held_out_exponent": "pmcl.calibration.tempering",
     "setting": "pmcl.calibration.settings",
+    "with_exponent": "pmcl.calibration.tempering",
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

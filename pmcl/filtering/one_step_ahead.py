@@ -35,7 +35,8 @@ class Predictions:
     reading : ndarray, shape (N,)
         The readings.
     log_score : ndarray, shape (N,)
-        Log predictive density of each reading given all before it; they sum to the log evidence [nat].
+        Log predictive density of each reading given all before it; they sum to the log evidence [nat] where no sensor
+        tempers its readings and none is taken alone.
     low, high : ndarray, shape (N,)
         Predictive probability of a smaller, and of a smaller or equal reading; NaN for a sensor whose table registers
         no distribution function.
@@ -79,6 +80,7 @@ def predict_readings(
     *,
     scheme: str = "multinomial",
     threshold: float = 1.0,
+    alone: bool = False,
 ) -> Predictions:
     """Run a bootstrap particle filter that takes the readings of a row one after another.
 
@@ -86,6 +88,9 @@ def predict_readings(
     ----------
     tables, n_steps, n_particles, rng, scheme, threshold
         As for :func:`pmcl.filtering.particle_filter.run_filter`; the evidence estimate has the same distribution.
+    alone : bool
+        Whether each reading of a sensor is foreseen as if the sensor had read nothing else at that time: from the rows
+        before only. Log scores then do not sum to the log evidence.
 
     Returns
     -------
@@ -100,7 +105,7 @@ def predict_readings(
     check_interrupt()
     check_particles(n_particles)
     status, t, evidence, particles, log_weights, steps, ancestors, score, low, high = smc.predictive_pass(
-        tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold)
+        tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold), alone
     )
     raise_outcome(status, t, "particle filter")
     filtered = FilterPass(evidence, particles, log_weights, steps[:, 0], steps[:, 1], ancestors)

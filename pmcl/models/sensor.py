@@ -124,6 +124,21 @@ class Sensor(SensorVariables, ABC):
         """
         return {}
 
+    def with_exponent(self, exponent: float) -> Self | None:
+        """Return the sensor with another exponent of its readings' densities, which tempers errors that they share.
+
+        Parameters
+        ----------
+        exponent : float
+            In (0, 1].
+
+        Returns
+        -------
+        Sensor or None
+            None when the sensor has no exponent, as by default.
+        """
+        return None
+
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:

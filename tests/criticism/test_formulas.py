@@ -9,12 +9,12 @@ import pytest
 from scipy import stats
 
 from pmcl.criticism.findings.assemble import filled_in
-from pmcl.criticism.fitting.held_out import Gain
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.naming.choice import contenders
 from pmcl.criticism.naming.formulas import formulas, steady_changes, wave
 from pmcl.criticism.workflow import criticize
 from pmcl.filtering.estimated_path import with_estimates
+from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import path_formulas
 from pmcl.models.effects.selection import effect_named

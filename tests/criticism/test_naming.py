@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism.fitting.held_out import paired_gain
 from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
 from pmcl.criticism.fitting.trials import Trial, spare_effects, trial_of_base, try_effect
 from pmcl.criticism.naming import scan as scan_module
@@ -30,6 +29,7 @@ from pmcl.criticism.naming.shortlist import (
     untried_twins,
 )
 from pmcl.criticism.scoring.scores import directions_of
+from pmcl.filtering.paired_scores import paired_gain
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism.fitting.held_out import Gain
 from pmcl.criticism.fitting.quick_fit import GLANCE, quick_fit
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging import judged_log
@@ -21,6 +20,7 @@ from pmcl.criticism.naming.shortlist import RankedEffect
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.criticism.settings import Settings
 from pmcl.errors import FilterError
+from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model

@@ -202,3 +202,23 @@ def test_part_by_part_is_the_joint_density():
     rows += smc.sensor_terms(tables.sensors[0], columns)
     np.testing.assert_allclose(rows.sum(axis=1), [log_joint(tables, path) for path in paths], rtol=1e-10)
     np.testing.assert_allclose(rows[1], smc.joint_terms(tables, paths[1])[1], rtol=1e-8)
+
+
+def test_readings_alone_are_foreseen_from_the_rows_before():
+    """Each reading's score is that of all particles before the row, which have equal weights; the evidence stays."""
+    log = simulate_amigobot(20.0, 3)
+    bound = default_model(log).bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    found = predict_readings(tables, log.n_steps, 300, make_rng(1), alone=True)
+    in_turn = predict_readings(tables, log.n_steps, 300, make_rng(1))
+    assert found.filtered.log_evidence == pytest.approx(in_turn.filtered.log_evidence, rel=1e-12)
+    assert in_turn.log_score.sum() == pytest.approx(in_turn.filtered.log_evidence, rel=1e-9)
+    for t in np.unique(found.time):
+        slots = _slots(tables.sensors[0], t, found.filtered.particles[t].T, True)
+        expected = [np.log(np.exp(logp - logp.max()).mean()) + logp.max() for logp in slots[:, 0]]
+        np.testing.assert_allclose(found.log_score[found.time == t], expected, rtol=1e-9)
+        np.testing.assert_allclose(found.low[found.time == t], slots[:, 1].mean(axis=1), rtol=1e-9)
+    # The first reading of a row is the same either way, the others are not.
+    first = np.unique(found.time, return_index=True)[1]
+    np.testing.assert_allclose(found.log_score[first], in_turn.log_score[first], rtol=1e-9)
+    assert np.abs(found.log_score - in_turn.log_score).max() > 0.1

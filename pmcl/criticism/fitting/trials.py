@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from pmcl.criticism.fitting.held_out import Gain, paired_gain, row_scores
+from pmcl.criticism.fitting.held_out import row_scores
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.scoring.scores import probe_values
 from pmcl.errors import PmclError
+from pmcl.filtering.paired_scores import Gain, paired_gain
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pmcl.criticism.fitting.held_out import block_sums, paired_gain
 from pmcl.criticism.fitting.trials import PRACTICAL, Trial
 from pmcl.criticism.naming.shortlist import are_near_twins
+from pmcl.filtering.paired_scores import block_sums, paired_gain
 
 __all__ = [
     "choose", "confirmed_without_score", "contenders", "contenders_when_lost", "leaders", "twins_of", "with_formulas",

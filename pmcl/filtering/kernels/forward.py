@@ -157,8 +157,8 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
 
 
 @entry
-def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
-    """Do the same, taking the readings of a row one after another.
+def predictive_pass(tables, rng, n_steps, n, scheme, threshold, alone):
+    """Do the same, taking the readings of a row one after another, or each `alone`.
 
     Returns what :func:`filter_pass` does, then log score, low and high (N,) of each slot (see
     :class:`~pmcl.filtering.kernels.weighing.OneByOne`); NaN where nothing was measured.
@@ -170,7 +170,7 @@ def predictive_pass(tables, rng, n_steps, n, scheme, threshold):
     log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
     history = History(particles, log_weights, ancestors)
     arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
-    record = OneByOne(n_steps, log_score, low, high, np.empty((6, n)))
+    record = OneByOne(n_steps, log_score, low, high, np.empty((6, n)), alone)
     status, t, log_evidence = forward(
         tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), record, arrays
     )

@@ -46,6 +46,8 @@ class OneByOne(NamedTuple):
         smaller and of a smaller or equal one. Slots that were not measured are left as they are.
     draft : ndarray, shape (6, n)
         Work space.
+    alone : bool
+        Whether each reading of a sensor is foreseen as if the sensor had read nothing else at that time.
     """
 
     n_steps: int
@@ -53,6 +55,7 @@ class OneByOne(NamedTuple):
     low: Float
     high: Float
     draft: Float
+    alone: bool
 
 
 @kernel
@@ -133,11 +136,11 @@ def _slot_by_slot(sensor, offset, record, t, previous, current, log_weights, wei
             record.low[offset + slot] = _inner(weights, low) / weight_sum
             record.high[offset + slot] = _inner(weights, high) / weight_sum
             before = greatest + math.log(weight_sum)
-            if exponent != 1.0:
+            if exponent != 1.0 or record.alone:
                 record.log_score[offset + slot] = _log_mean(weights, weight_sum, logp, low)
         for i in range(logp.size):
             log_weights[i] += exponent * logp[i]
-        if status == FINE:
+        if status == FINE and not record.alone:
             status, greatest, weight_sum = normalise(log_weights, weights)
             if status != FINE:
                 record.log_score[offset + slot] = -np.inf

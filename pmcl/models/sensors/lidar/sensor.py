@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -120,6 +120,10 @@ class Lidar(LidarVariables, Sensor):
         beams = max(rays.size for rays in self._rays(log).values())
         usual = {"exponent": usual_exponent(beams), "max_beams": USUAL_BEAMS[self.model]}
         return {name: value for name, value in usual.items() if getattr(self, name) is None}
+
+    def with_exponent(self, exponent: float) -> Lidar:
+        """Return the sensor with another exponent; see :meth:`pmcl.models.sensor.Sensor.with_exponent`."""
+        return replace(self, exponent=exponent)
 
     def _rays(self, log: LogArrays) -> dict[str, Int]:
         most = USUAL_BEAMS[self.model] if self.max_beams is None else self.max_beams
