@@ -83,21 +83,34 @@ def barfoot(source: str, output: Path, **settings: Any) -> None:
 
 
 def write_log(log: RobotLog, output: Path) -> None:
-    """Write a log, and say what is in it and what was left out."""
+    """Write a log, and say what is in it and what was left out.
+
+    Raises
+    ------
+    LogError
+        When nothing was measured in it: such a log is of no use, and something went wrong.
+    """
     from pmcl.logs.finding import warn_of
     from pmcl.logs.grid_map import map_to_name
+    from pmcl.logs.validation import fail
     from pmcl.preflight.check import disagreements
 
+    dropped = {name: value for name, value in log.dataset.attrs.items() if str(name).startswith("dropped_") and value}
+    left_out = ", ".join(
+        f"{value} ({str(name).removeprefix('dropped_').replace('_', ' ')})" for name, value in dropped.items()
+    )
+    if not log.n_readings:
+        fail(
+            log.where,
+            f"expected readings in the {log.n_steps} rows, got none{left_out and f'; left out: {left_out}'}: check "
+            "that sensors and odometry were recorded together, and the settings",
+        )
     log.write(output)
     # Mistakes that the numbers show by themselves were reported when the log was built.
     warn_of(disagreements(log), str(output))
     span = log.times[-1] - log.times[0]
     click.echo(f"{output}: {log.robot}, {log.n_steps} samples over {span:.0f} s, {log.n_readings} readings")
-    dropped = {name: value for name, value in log.dataset.attrs.items() if str(name).startswith("dropped_") and value}
-    if dropped:
-        left_out = ", ".join(
-            f"{value} ({str(name).removeprefix('dropped_').replace('_', ' ')})" for name, value in dropped.items()
-        )
+    if left_out:
         click.echo(f"readings left out: {left_out}")
     if log.grid_map is not None and map_to_name(log.grid_map, str(output)) is None:
         click.echo("the map is not in the folder of the log: give --map to the commands that use it")

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmcl.errors import LogError, MapError
 from pmcl.logs.schema import FORMAT, LABELS, Variable, readings, variables
-from pmcl.maps.arrays import as_numbers
+from pmcl.maps.arrays import FARTHEST, as_numbers
 from pmcl.maps.walls import WallMap
 from pmcl.registry import sensor_variables
 
@@ -26,6 +26,10 @@ Float = NDArray[np.float64]
 
 # No bearing and no yaw of a beam is larger; half a degree is left for rounding [rad].
 ONE_TURN = 2.0 * math.pi + 0.01
+
+# The greatest numbers that have a meaning, by unit. Headings may count turns, but a double of 1e6 rad holds an angle
+# to 1e-10 rad only. Times may be in nanoseconds since 1970 by mistake, which is named elsewhere.
+_GREATEST = {"m": FARTHEST, "rad": 1.0e6, "s": 1.0e20, "pixel": 1.0e6}
 
 
 def fail(where: str, message: str) -> NoReturn:
@@ -92,9 +96,16 @@ def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
 def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
     dataset = dataset.copy()
     for dim, labels in LABELS.items():
-        given = [str(label) for label in dataset[dim].values] if dim in dataset.coords else []
-        if given != list(labels) and sorted(given) == sorted(labels):
-            dataset = dataset.isel({dim: [given.index(label) for label in labels]})
+        given = _labels_along(dataset, dim)
+        if given is None or given == list(labels):
+            continue
+        if sorted(given) != sorted(labels):
+            fail(
+                where,
+                f"expected the labels {', '.join(labels)} along '{dim}', got {', '.join(given):.80}: correct them, or "
+                "leave them out where the components have this order",
+            )
+        dataset = dataset.isel({dim: [given.index(label) for label in labels]})
     known = variables(dataset)
     for name in ("time", "odometry"):
         if name not in dataset.variables:
@@ -114,10 +125,39 @@ def _canonical(dataset: xr.Dataset, where: str) -> xr.Dataset:
             values = as_numbers(found.values)
         except TypeError as problem:
             fail(where, f"expected numbers [{variable.units}] in '{name}', got {problem}: convert them")
+        _require_possible(name, variable, values, where)
         values.flags.writeable = False
         dataset[name] = (variable.dims, values, found.attrs)
     present = {dim: list(labels) for dim, labels in LABELS.items() if dim in dataset.dims}
     return dataset.set_coords("time").assign_coords(present)
+
+
+def _labels_along(dataset: xr.Dataset, dim: str) -> list[str] | None:
+    """Return the texts that label a dimension; None where there are none, or plain numbers."""
+    if dim not in dataset.coords or dataset[dim].ndim != 1 or dataset[dim].dtype.kind in "iuf":
+        return None
+    return [str(label) for label in dataset[dim].values]
+
+
+def _require_possible(name: str, variable: Variable, values: Float, where: str) -> None:
+    """Check that no finite number is beyond what its unit makes possible."""
+    if variable.may_be_infinite:
+        return  # a range of any length means that there was no echo
+    greatest = np.array([_GREATEST.get(unit, math.inf) for unit in variable.units.split(", ")])
+    with np.errstate(invalid="ignore"):
+        beyond = np.isfinite(values) & (np.abs(values) > greatest)
+    if name == "odometry":
+        beyond[:1] = False  # the displacement into row 0 has no row to come from; the format ignores it
+    bad = np.argwhere(beyond)
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        unit = variable.units.split(", ")[at[-1] if len(greatest) > 1 else 0]
+        place = ", ".join(f"{'row' if dim == 'time' else dim} {i}" for dim, i in zip(variable.dims, at, strict=True))
+        fail(
+            where,
+            f"expected '{name}' within {_GREATEST[unit]:g} {unit}, got {values[at]:g} in {place}: check the unit, or "
+            "correct the number",
+        )
 
 
 def _renamed(found: xr.DataArray, variable: Variable) -> xr.DataArray:
@@ -192,12 +232,12 @@ def _check_reference(dataset: xr.Dataset, where: str) -> None:
 
 
 def positive_number(stated: ArrayLike | None) -> float | None:
-    """Return the one positive, finite number that an attribute states; None when it states anything else."""
+    """Return the one positive number that an attribute states; None for anything else, also for absurdly large ones."""
     try:
         numbers = as_numbers(stated).ravel()
     except TypeError:
         return None
-    return float(numbers[0]) if numbers.size == 1 and 0.0 < numbers[0] < math.inf else None
+    return float(numbers[0]) if numbers.size == 1 and 0.0 < numbers[0] <= FARTHEST else None
 
 
 def require_finite(dataset: xr.Dataset, name: str, where: str) -> None:

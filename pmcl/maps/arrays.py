@@ -7,7 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmcl.errors import MapError
 
-__all__ = ["as_numbers", "coordinates"]
+__all__ = ["FARTHEST", "as_numbers", "coordinates"]
+
+FARTHEST = 2.0e7
+"""Half the circumference of the earth [m]: no length that a robot measures is greater, also not a coordinate in UTM."""
 
 
 def as_numbers(value: ArrayLike | None) -> NDArray[np.float64]:
@@ -59,7 +62,8 @@ def coordinates(value: ArrayLike, what: str, shape: str, tail: tuple[int, ...]) 
     Raises
     ------
     MapError
-        When these are not numbers, the shape differs, nothing is there, or a coordinate is not finite.
+        When these are not numbers, the shape differs, nothing is there, or a coordinate is not finite or beyond
+        :data:`FARTHEST`.
     """
     try:
         array = as_numbers(value)
@@ -69,9 +73,10 @@ def coordinates(value: ArrayLike, what: str, shape: str, tail: tuple[int, ...]) 
         raise MapError(f"expected at least one row {shape} for the {what}, got none: give the map its coordinates")
     if array.ndim == 0 or array.shape[1:] != tail:
         raise MapError(f"expected shape {shape} for the {what}, got shape {array.shape}: rearrange the coordinates")
-    bad = np.argwhere(~np.isfinite(array))
+    bad = np.argwhere(~(np.abs(array) <= FARTHEST))
     if len(bad):
         at = tuple(int(i) for i in bad[0])
-        raise MapError(f"expected finite {what}, got {array[at]} at index {at}: correct or remove that row")
+        expected = f"finite {what}" if not np.isfinite(array[at]) else f"{what} within {FARTHEST:g} m"
+        raise MapError(f"expected {expected}, got {array[at]} at index {at}: correct or remove that row")
     array.flags.writeable = False
     return array

@@ -17,8 +17,9 @@ import math
 import os
 import secrets
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,15 @@ from pmcl.maps.occupancy_grid import FREE, MOST_CELLS, OCCUPIED, UNKNOWN, Occupa
 
 __all__ = ["FREE_THRESH", "OCCUPIED_THRESH", "occupancy", "read_map", "write_map"]
 
+_CellsOf: TypeAlias = Callable[[NDArray[Any], NDArray[np.uint8] | None], NDArray[np.uint8]]
+
 _MODES = ("trinary", "scale", "raw")
 # A file of six lines; a larger one is something else, and is not parsed [byte].
 _LONGEST_YAML = 65536
+# Pixels that are turned into cells at a time: some 10 MB each.
+_PIXELS_AT_ONCE = 1 << 20
+# Greatest number of pixels of an image that Pillow decodes in Python, at a few million pixels a second.
+_MOST_SLOW_PIXELS = 10_000_000
 # Truth values in the spellings that map_server's YAML library (yaml-cpp) knows.
 _TRUTHS = {"y": True, "yes": True, "true": True, "on": True, "n": False, "no": False, "false": False, "off": False}
 # Grey values of write_map are those of map_saver.
@@ -79,12 +86,15 @@ def read_map(path: str | os.PathLike[str]) -> OccupancyGrid:
         )
     resolution = _number(said, "resolution", where)
     origin = _origin(said, where)
-    grey, alpha = _read_image(_image_path(said, where), where)
-    cells = occupancy(grey, alpha, mode, negate, occupied_thresh, free_thresh)
-    # Images begin at the top.
-    flipped = np.ascontiguousarray(cells[::-1])
-    flipped.flags.writeable = False
-    return OccupancyGrid(flipped, resolution, origin, where)
+    # Images begin at the top, maps at the bottom.
+    cells = _read_image(
+        _image_path(said, where),
+        lambda grey, alpha: occupancy(grey, alpha, mode, negate, occupied_thresh, free_thresh),
+        where,
+    )[::-1]
+    cells = np.ascontiguousarray(cells)
+    cells.flags.writeable = False
+    return OccupancyGrid(cells, resolution, origin, where)
 
 
 def occupancy(
@@ -100,7 +110,7 @@ def occupancy(
     Parameters
     ----------
     grey : ndarray, shape (H, W)
-        Mean of each pixel's colour channels, 0 (black) to 255 (white).
+        Mean of each pixel's colour channels, 0 (black) to 255 (white): whole numbers, or whole thirds of three colours.
     alpha : ndarray of uint8, shape (H, W), or None
         Opacity of each pixel, 255 opaque; None where the image has none.
     mode : {"trinary", "scale", "raw"}
@@ -114,10 +124,14 @@ def occupancy(
     -------
     ndarray of uint8, shape (H, W)
     """
-    # All greys of an image are few: the rules are worked out once for each.
-    greys, index = (np.arange(256), grey) if grey.dtype == np.uint8 else np.unique(grey, return_inverse=True)
-    found = _cells_of(greys.astype(np.float32), mode, negate, np.float32(occupied_thresh), np.float32(free_thresh))
-    cells: NDArray[np.uint8] = found[index.reshape(grey.shape)]
+    # There are few greys: the rules are worked out once for each.
+    if grey.dtype == np.uint8:
+        greys, index = np.arange(256, dtype=np.float32), grey
+    else:
+        greys = np.arange(3 * 255 + 1, dtype=np.float32) / np.float32(3.0)
+        index = np.rint(grey * 3.0).astype(np.uint16)
+    found = _cells_of(greys, mode, negate, np.float32(occupied_thresh), np.float32(free_thresh))
+    cells: NDArray[np.uint8] = found[index]
     if alpha is not None and mode != "raw":
         cells[alpha < 255] = UNKNOWN
     return cells
@@ -242,8 +256,8 @@ def _image_path(said: dict[str, Any], where: str) -> Path:
     return image
 
 
-def _read_image(path: Path, where: str) -> tuple[NDArray[Any], NDArray[np.uint8] | None]:
-    """Return the mean of the colour channels, 0 to 255, and the opacity where the image has one; top row first."""
+def _read_image(path: Path, cells_of: _CellsOf, where: str) -> NDArray[np.uint8]:
+    """Return the cells of an image, shape (H, W), top row first; `cells_of` makes cells of grey and opacity."""
     from PIL import Image
 
     name = path.name
@@ -253,13 +267,17 @@ def _read_image(path: Path, where: str) -> tuple[NDArray[Any], NDArray[np.uint8]
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path, formats=("PPM", "PNG")) as image:
                 width, height = image.size
-                if width * height > MOST_CELLS:
-                    raise MapError(_too_large(where, name, f"{width} x {height}"))
-                return _channels(image)
+                # Pillow decodes these two kinds of PGM in Python: those written as text, and those of few greys.
+                slow = image.tile[0][0] in ("ppm_plain", "ppm")
+                most = _MOST_SLOW_PIXELS if slow else MOST_CELLS
+                if width * height > most:
+                    kind = ", which is a PGM of text or of another number of greys than 256" * slow
+                    raise MapError(_too_large(where, name + kind, most, f"{width} x {height}"))
+                return _cells_by_parts(image, cells_of)
     except MapError:
         raise
     except Image.DecompressionBombError:
-        raise MapError(_too_large(where, name, "far more")) from None
+        raise MapError(_too_large(where, name, MOST_CELLS, "far more")) from None
     except MemoryError:
         raise
     except Exception as problem:  # damaged images end in whatever error their damaged bytes lead to
@@ -270,14 +288,29 @@ def _read_image(path: Path, where: str) -> tuple[NDArray[Any], NDArray[np.uint8]
         ) from None
 
 
-def _too_large(where: str, name: str, got: str) -> str:
+def _cells_by_parts(image: Any, cells_of: _CellsOf) -> NDArray[np.uint8]:
+    """Convert an image part by part: as grey numbers it takes many times the memory that its pixels take."""
+    image.load()
+    width, height = image.size
+    cells = np.empty((height, width), dtype=np.uint8)
+    across = min(width, _PIXELS_AT_ONCE)
+    down = _PIXELS_AT_ONCE // max(across, 1)
+    for top in range(0, height, down):
+        for left in range(0, width, across):
+            part = image.crop((left, top, min(left + across, width), min(top + down, height)))
+            cells[top : top + down, left : left + across] = cells_of(*_channels(part))
+    return cells
+
+
+def _too_large(where: str, name: str, most: int, got: str) -> str:
     return (
-        f"{where}: expected at most {MOST_CELLS} pixels in the image {name}, got {got}: "
-        "cut the map, or make its cells larger"
+        f"{where}: expected at most {most} pixels in the image {name}, got {got}: "
+        "write it as PNG, cut the map, or make its cells larger"
     )
 
 
 def _channels(image: Any) -> tuple[NDArray[Any], NDArray[np.uint8] | None]:
+    """Return the mean of the colour channels, 0 to 255, and the opacity where the image has one."""
     if image.mode.startswith("I"):
         # 16 bits: brought to 8 as image libraries do.
         return np.rint(np.asarray(image, dtype=np.float64) / 257.0).astype(np.uint8), None

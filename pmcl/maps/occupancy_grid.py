@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from pmcl.checks import check_number, check_type
 from pmcl.errors import MapError
-from pmcl.maps.arrays import as_numbers
+from pmcl.maps.arrays import FARTHEST, as_numbers
 
 __all__ = ["FREE", "MOST_CELLS", "OCCUPIED", "RESOLUTIONS", "UNKNOWN", "OccupancyGrid"]
 
@@ -31,8 +31,6 @@ MOST_CELLS = 50_000_000
 RESOLUTIONS = (1e-3, 10.0)
 """Least and greatest side of a cell [m]: makers of maps write 0.01 to 0.1; in coarser cells no room can be seen."""
 
-# Half the circumference of the earth: no map frame has its origin farther away, also not one in UTM coordinates [m].
-_FARTHEST = 2.0e7
 # Yaw of the origin beyond one turn is an angle in degrees; the rest is left for rounding [rad].
 _ONE_TURN = 2.0 * math.pi + 0.01
 # Rows of which distances are computed at a time: a few MB each, however wide the grid.
@@ -334,7 +332,7 @@ def _checked_origin(origin: Any, where: str) -> tuple[float, float, float]:
     if values.shape != (3,):
         raise MapError(f"{expected}, got shape {values.shape}: correct it")
     x, y, yaw = (float(value) for value in values)
-    if not np.isfinite(values).all() or max(abs(x), abs(y)) > _FARTHEST:
+    if not np.isfinite(values).all() or max(abs(x), abs(y)) > FARTHEST:
         raise MapError(f"{expected}, got ({x:g}, {y:g}, {yaw:g}): correct it")
     if abs(yaw) > _ONE_TURN:
         raise MapError(f"{place}expected the origin's yaw within one turn, got {yaw:g} rad: convert degrees to radians")

@@ -10,6 +10,7 @@ from oracles.made_bags import KINDS, MadeBag, yaw
 
 from pmcl.errors import LogError
 from pmcl.geometry import between
+from pmcl.logs.bags import unpacking
 from pmcl.logs.bags.read import read_bag
 
 ORIGIN = 1_700_000_000_123_456_789
@@ -55,6 +56,7 @@ def recording():
 
 
 def read(bag, tmp_path, kind="mcap", **settings):
+    tmp_path.mkdir(exist_ok=True)
     return read_bag(bag.write(tmp_path / "bag", kind), **settings)
 
 
@@ -78,7 +80,7 @@ def test_every_scan_becomes_a_row(recording, tmp_path, kind):
 
 
 def test_the_log_is_the_same_in_every_format(recording, tmp_path):
-    logs = [read(recording, tmp_path / kind, kind) for kind in KINDS if not (tmp_path / kind).mkdir()]
+    logs = [read(recording, tmp_path / kind, kind) for kind in KINDS]
     assert len({log.fingerprint() for log in logs}) == 1
     moved = read(small_recording(duration=7.0), tmp_path, "mcap")
     assert moved.fingerprint() != logs[0].fingerprint()
@@ -300,6 +302,117 @@ def test_truncated_bags(recording, tmp_path, kind, keep):
         read_bag(file)
     with pytest.raises(LogError, match="expected"):
         read_bag(path)
+
+
+COMPRESSED = [("ros1", "bz2"), ("ros1", "lz4"), ("mcap", "chunk")]
+COMPRESSED += [(kind, mode) for kind in ("sqlite3", "mcap") for mode in ("message", "file")]
+
+
+@pytest.mark.parametrize(("kind", "compression"), COMPRESSED)
+def test_compressed_bags(recording, tmp_path, kind, compression):
+    log = read_bag(recording.write(tmp_path / "packed", kind, compression), **ALL)
+    assert log.fingerprint() == read(recording, tmp_path, **ALL).fingerprint()
+
+
+BOMBS = [(*each, True) for each in COMPRESSED if each[1] != "file"] + [("mcap", "chunk", False)]
+
+
+@pytest.mark.parametrize(("kind", "compression", "indexed"), BOMBS)
+def test_a_few_bytes_that_stand_for_very_many(tmp_path, monkeypatch, kind, compression, indexed):
+    """The true limit is 256 times as large; the size of what comes out is counted, whatever the file says of it."""
+    monkeypatch.setattr(unpacking, "LARGEST_CHUNK", 1 << 20)
+    bag = small_recording()
+    # Messages that are compressed one by one are unpacked only where they are needed.
+    if compression == "message":
+        bag.scan("/scan", ns(5.0), np.zeros(400_000))
+    else:
+        bag.padding("/zeros", ns(5.0), 1_500_000)
+    path = bag.write(tmp_path / "bomb", kind, compression)
+    if not indexed:
+        without_index(path / "bomb.mcap")
+    with pytest.raises(LogError, match=r"expected an undamaged bag, got 'a chunk of .*more than 1 MB"):
+        read_bag(path)
+
+
+def without_index(file):
+    """Let the footer of an MCAP file say that there is no summary (mcap.dev/spec)."""
+    content = bytearray(file.read_bytes())
+    content[-28:-8] = bytes(20)
+    file.write_bytes(content)
+
+
+def test_a_chunk_that_says_less_than_it_holds(tmp_path, monkeypatch):
+    bag = small_recording()
+    bag.padding("/zeros", ns(5.0), 3_000_000)
+    file = bag.write(tmp_path / "bag", "mcap", "chunk") / "bag.mcap"
+    content = bytearray(file.read_bytes())
+    (chunk,) = unpacking.checked_chunks(file).values()
+    size = chunk.size.to_bytes(8, "little")
+    assert content.count(size) == 2  # in the chunk and in the index
+    file.write_bytes(content.replace(size, (1000).to_bytes(8, "little")))
+    monkeypatch.setattr(unpacking, "LARGEST_CHUNK", 1 << 20)
+    with pytest.raises(LogError, match="a chunk of more than 1 MB"):
+        read_bag(file)
+
+
+def test_an_index_that_speaks_of_other_chunks(recording, tmp_path):
+    file = recording.write(tmp_path / "bag", "mcap", "chunk") / "bag.mcap"
+    content = bytearray(file.read_bytes())
+    (chunk,) = unpacking.checked_chunks(file).values()
+    last = content.rindex(chunk.size.to_bytes(8, "little"))
+    content[last : last + 8] = (chunk.size + 1).to_bytes(8, "little")
+    file.write_bytes(content)
+    with pytest.raises(LogError, match="an index that does not fit the chunks"):
+        read_bag(file)
+
+
+def test_a_file_that_says_it_becomes_gigabytes(recording, tmp_path):
+    folder = recording.write(tmp_path / "bag", "sqlite3", "file")
+    (file,) = folder.glob("*.zstd")
+    # A frame with a content size of 8 bytes (RFC 8878, section 3.1.1.1).
+    file.write_bytes(b"\x28\xb5\x2f\xfd\xe0" + (10**12).to_bytes(8, "little") + bytes(50))
+    with pytest.raises(LogError, match="a file of 63 bytes that says it becomes 1000000000000 bytes"):
+        read_bag(folder)
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+def test_messages_that_are_counted_but_missing(recording, tmp_path, kind):
+    folder = recording.write(tmp_path / "bag", kind)
+    described = (folder / "metadata.yaml").read_text()
+    assert described.count("message_count: 28") == 1
+    (folder / "metadata.yaml").write_text(described.replace("message_count: 28", "message_count: 31"))
+    log = read_bag(folder, **ALL)
+    assert dropped(log) == {"messages_that_are_missing": 3}
+    assert log.n_steps == 28
+
+
+@pytest.mark.parametrize("wrong", ["many", "[1, 2]", "-.inf", "null"])
+def test_a_description_with_something_else_in_it(recording, tmp_path, wrong):
+    folder = recording.write(tmp_path / "bag", "mcap")
+    described = (folder / "metadata.yaml").read_text()
+    for right in ("message_count: 28", "name: /scan", "type: sensor_msgs/msg/LaserScan"):
+        (folder / "metadata.yaml").write_text(described.replace(right, f"{right.split(':')[0]}: {wrong}"))
+        with pytest.raises(LogError, match="expected"):
+            read_bag(folder)
+
+
+def test_poses_beyond_the_earth_are_left_out_and_counted(recording, tmp_path):
+    plain = read(recording, tmp_path / "plain", **ALL)
+    for number in (1e300, -3e7, math.inf):
+        recording.odometry("/odom", ns(3.01), (number, 0.0, 0.0))
+    log = read(recording, tmp_path / "wild", **ALL)
+    assert dropped(log) == {"invalid_poses": 3}
+    np.testing.assert_array_equal(log.odometry, plain.odometry)
+
+
+def test_scans_that_all_differ(tmp_path):
+    bag = MadeBag()
+    bag.transform("/tf_static", ns(0), "base_link", "laser", (0, 0, 0))
+    for k in range(4):
+        bag.odometry("/odom", ns(k), (k, 0, 0))
+        bag.scan("/scan", ns(k), np.ones(5 + k))
+    with pytest.raises(LogError, match="got 4 scans that all differ, such as 5 and 6 rays"):
+        read(bag, tmp_path)
 
 
 def test_other_files_are_refused(recording, tmp_path):

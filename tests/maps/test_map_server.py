@@ -3,6 +3,7 @@
 import json
 import math
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
@@ -164,6 +165,26 @@ def test_a_map_is_not_written_where_it_cannot_be(tmp_path, name, says):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("size", [(1500, 1700), (1, 2_200_000), (2_200_000, 1)])
+@pytest.mark.parametrize("mode", ["RGB", "PA"])
+def test_large_images_are_converted_part_by_part(tmp_path, size, mode):
+    """Every part lands in its place, and numbers for grey and opacity are never there for the whole image at once."""
+    greys = np.random.default_rng(3).choice(np.array([0, 100, 254], dtype=np.uint8), size)
+    image = Image.fromarray(greys).convert("P" if mode == "PA" else mode)
+    image.save(tmp_path / "large.png", compress_level=1, **({"transparency": 100} if mode == "PA" else {}))
+    path = write_yaml(tmp_path, "large.png")
+    tracemalloc.start()
+    try:
+        cells = OccupancyGrid.read(path).cells
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    expected = np.select([greys == 0, greys == 254], [OCCUPIED, FREE], UNKNOWN)
+    np.testing.assert_array_equal(cells, expected[::-1])
+    # As numbers for the whole image: 75 MB for the mean of the colours, 10 MB for pixels with opacity.
+    assert most < 35e6
+
+
 def test_links_to_a_map_elsewhere_are_followed(tmp_path):
     # As colcon installs maps with --symlink-install: the YAML file and its image are links into one folder.
     source, installed = tmp_path / "source", tmp_path / "installed"
@@ -257,6 +278,8 @@ IMAGE_FILES = {
     "10^9 cells": (b"P5 40000 25000 255\n", f"at most {MOST_CELLS} pixels"),
     "a little too many": (b"P5 10000 5001 255\n", f"at most {MOST_CELLS} pixels .* 10000 x 5001"),
     "10^9 cells of PNG": (png_head(40000, 25000), f"at most {MOST_CELLS} pixels"),
+    "5e7 cells of text": (b"P2 7000 7000 255\n" + b"0 " * 100, "at most 10000000 pixels .* a PGM of text"),
+    "5e7 cells of 51 greys": (b"P5 7000 7000 51\n" + bytes(100), "at most 10000000 pixels"),
     "a PNG that ends": (png_head(300, 200), "cannot be read"),
     "a JPEG": (b"\xff\xd8\xff\xe0\x00\x10JFIF" + bytes(100), "PGM or PNG"),
 }

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -68,14 +68,31 @@ class MadeBag:
 
         self._add(topic, TF, recorded or stamp, make)
 
-    def write(self, path, kind):
-        """Write the bag: a file for ROS 1, else a folder; return its path."""
+    def padding(self, topic, stamp, n_bytes):
+        """A message of zeros, which compression makes small."""
+
+        def make(new):
+            layout = new("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+            return new("std_msgs/msg/UInt8MultiArray", layout=layout, data=np.zeros(n_bytes, np.uint8))
+
+        self._add(topic, "std_msgs/msg/UInt8MultiArray", stamp, make)
+
+    def write(self, path, kind, compression=None):
+        """Write the bag: a file for ROS 1, else a folder; return its path.
+
+        `compression` is "bz2" or "lz4" for ROS 1, "chunk" for MCAP, "message" or "file" for both kinds of ROS 2.
+        """
         if kind == "ros1":
             path = path.with_suffix(".bag")
         factory = _Factory(kind == "ros1")
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         writer = Writer1(path) if kind == "ros1" else Writer2(path, version=9, storage_plugin=plugin)
         types = factory.types
+        if compression and kind == "ros1":
+            writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+        elif compression:
+            mode = "storage" if compression == "chunk" else compression
+            writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
         with writer:
             connections = {}
             for topic, of_type, recorded, make in self._messages:

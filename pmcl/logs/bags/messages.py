@@ -8,12 +8,20 @@ none, and the types that are needed here have not changed since. Custom types of
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
+from pmcl.logs.bags.unpacking import (
+    Chunk,
+    check_index,
+    check_packed_file,
+    checked_chunks,
+    limit_chunks_of_ros1,
+    unpacked,
+)
 from pmcl.logs.validation import fail
 
 if TYPE_CHECKING:
@@ -26,6 +34,8 @@ _ROS1_MAGIC = b"#ROSBAG V"
 # What files of ROS 2 begin with, and the suffix by which rosbags knows their kind.
 _ROS2_KINDS = {b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\x00": ".db3"}
 _LONGEST_MAGIC = 16
+# What repairs a file, by its suffix.
+_REPAIRS = {".bag": "'rosbag reindex'", ".mcap": "'mcap recover'", ".db3": "'sqlite3 FILE .recover'"}
 _TF = "tf2_msgs/msg/TFMessage"
 # ROS 1 had this type twice, with the same fields.
 _SAME_TYPE = {"tf/msg/tfMessage": _TF}
@@ -60,6 +70,8 @@ class Bag:
         The path, for messages.
     topics : dict of str to Topic
         What the bag holds.
+    n_missing : int
+        Messages that the bag's index or its ``metadata.yaml`` counts, but that :meth:`messages` did not find.
 
     Raises
     ------
@@ -70,6 +82,7 @@ class Bag:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.where = os.fspath(path)
         self.topics: dict[str, Topic] = {}
+        self.n_missing = 0
         self._connections: dict[str, list[Connection]] = {}
         storage = _storage_of(Path(path), self.where)
         for file in sorted(storage.glob("*.db3")) if storage.is_dir() else [storage]:
@@ -82,17 +95,30 @@ class Bag:
             fail(self.where, "expected the package rosbags, which reads bags, got none: pip install 'pmcl[ros]'")
         self._is_ros1 = storage.is_file() and _begins_with(storage, _ROS1_MAGIC)
         self._types = _typestore(self._is_ros1)
+        files = sorted(storage.iterdir()) if storage.is_dir() else [storage]
+        self._kind = ".bag" if self._is_ros1 else next((f.suffix for f in files if f.suffix in _REPAIRS), "")
         try:
+            chunks = {file: checked_chunks(file) for file in files if file.suffix == ".mcap"}
+            for file in files:
+                if file.suffix in (".zstd", ".zst"):
+                    check_packed_file(file)
             self._reader: Any = rosbag1.Reader(storage) if self._is_ros1 else rosbag2.Reader(storage)
             self._reader.open()
+            self._unpack = _limited(self._reader, self._is_ros1, chunks)
+            for connection in self._reader.connections:
+                self._add(connection)
         # A damaged file fails in the reader, its decompressors and its database with errors of every kind.
         except Exception as problem:
             self._damaged(problem)
-        for connection in self._reader.connections:
-            kind = _SAME_TYPE.get(connection.msgtype, connection.msgtype)
-            known = self.topics.get(connection.topic, Topic(kind, 0))
-            self.topics[connection.topic] = Topic(known.type, known.messages + connection.msgcount)
-            self._connections.setdefault(connection.topic, []).append(connection)
+
+    def _add(self, connection: Connection) -> None:
+        # Those of a folder come from its metadata.yaml, in which anything may stand.
+        if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):
+            raise ValueError(f"a topic {connection.topic!r} of type {connection.msgtype!r}")
+        kind = _SAME_TYPE.get(connection.msgtype, connection.msgtype)
+        known = self.topics.get(connection.topic, Topic(kind, 0))
+        self.topics[connection.topic] = Topic(known.type, known.messages + int(connection.msgcount))
+        self._connections.setdefault(connection.topic, []).append(connection)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Read the messages of some topics in the order in which they were recorded, one at a time.
@@ -119,21 +145,24 @@ class Bag:
         if not wanted:
             return
         stream = self._reader.messages(wanted)
+        n_missing = sum(int(connection.msgcount) for connection in wanted)
         decode = self._types.deserialize_ros1 if self._is_ros1 else self._types.deserialize_cdr
         while True:
             try:
                 found = next(stream, None)
                 if found is None:
+                    self.n_missing += max(n_missing, 0)
                     return
+                n_missing -= 1
                 connection, time, raw = found
-                message = decode(raw, self.topics[connection.topic].type)
+                message = decode(self._unpack(raw), self.topics[connection.topic].type)
             except Exception as problem:
                 self._damaged(problem)
             yield connection.topic, time, message
 
     def _damaged(self, problem: Exception) -> NoReturn:
-        repair = "'rosbag reindex'" if self._is_ros1 else "'mcap recover' or 'ros2 bag reindex'"
         said = str(problem) or type(problem).__name__
+        repair = _REPAIRS.get(self._kind, "'ros2 bag reindex'")
         fail(self.where, f"expected an undamaged bag, got '{said:.160}': copy it again, or repair it with {repair}")
 
     def __enter__(self) -> Bag:
@@ -161,6 +190,23 @@ def _typestore(is_ros1: bool) -> Typestore:
     # tf2_msgs is not in that store.
     types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
     return types
+
+
+def _limited(reader: Any, is_ros1: bool, chunks: Mapping[Path, Mapping[int, Chunk]]) -> Callable[[bytes], bytes]:
+    """Let an open reader unpack nothing that is too large; return what unpacks each of its messages."""
+    if is_ros1:
+        limit_chunks_of_ros1(reader)
+        return bytes
+    for storage in getattr(reader.storage, "storages", [reader.storage]):
+        if storage.path.suffix == ".mcap":
+            # A file that was compressed as a whole lies in a temporary folder by now.
+            found = chunks[storage.path] if storage.path in chunks else checked_chunks(storage.path)
+            check_index(storage, found)
+    if reader.storage.metadata.compression_mode == "message":
+        # The reader would unpack them without a limit.
+        reader.storage.metadata = reader.storage.metadata._replace(compression_mode=None)
+        return lambda raw: unpacked("zstd", raw)
+    return bytes
 
 
 def _storage_of(path: Path, where: str) -> Path:

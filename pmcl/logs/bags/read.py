@@ -141,6 +141,7 @@ def read_bag(
         source=f"{Path(path).name}: {', '.join(of_scans)}, odometry {of_odometry or f'{frame} -> {base} in tf'}",
         dropped={
             "dropped_scans_of_another_shape": n_others,
+            "dropped_messages_that_are_missing": bag.n_missing,
             "dropped_invalid_poses": streams.tree.n_invalid + streams.odometry.n_invalid + streams.truth.n_invalid,
         },
         time_zero=(streams.origin or 0) * 1e-9,

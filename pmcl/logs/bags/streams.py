@@ -93,9 +93,16 @@ class Scans:
         Raises
         ------
         LogError
-            When the usual scan has no rays, no angles, or no limits.
+            When all scans differ, or the usual scan has no rays, no angles, or no limits.
         """
-        most, _ = Counter(self._shapes).most_common(1)[0]
+        most, n_usual = Counter(self._shapes).most_common(1)[0]
+        if n_usual < 2 < len(self._shapes):
+            fail(
+                where,
+                f"expected scans in {self.topic} with the same number of rays and angles, got {len(self._shapes)} "
+                f"scans that all differ, such as {self._shapes[0].n_rays} and {self._shapes[1].n_rays} rays: choose another "
+                "topic with --scan",
+            )
         usual = self.exact[most]
         angles: Float = usual.angle_min + usual.angle_increment * np.arange(usual.n_rays, dtype=np.float64)
         if usual.n_rays < 2 or not np.isfinite(angles).all() or usual.angle_increment == 0.0:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pmcl.geometry import wrap
 from pmcl.logs.validation import fail
+from pmcl.maps.arrays import FARTHEST
 
 __all__ = ["Edge", "Mount", "TransformTree", "yaw_of"]
 
@@ -104,7 +105,8 @@ class TransformTree:
     edges : dict of (str, str) to Edge
         From (parent, child) to what was recorded of it.
     n_invalid : int
-        Transforms left out because a number in them is not finite or their quaternion is not of length one.
+        Transforms left out because a number in them is not finite or beyond :data:`~pmcl.maps.arrays.FARTHEST`, or
+        their quaternion is not of length one.
     """
 
     def __init__(self) -> None:
@@ -114,8 +116,8 @@ class TransformTree:
     def add(self, parent: str, child: str, time: float, value: tuple[float, ...]) -> None:
         """Add one transform from `parent` to `child`; see :meth:`Edge.add`."""
         length = math.hypot(*value[3:])
-        # Single precision and text leave a quaternion within 1e-3 of length one; NaN fails the comparison too.
-        if not (abs(length - 1.0) < 1e-2 and all(map(math.isfinite, value[:3]))):
+        # Single precision and text leave a quaternion within 1e-3 of length one; NaN fails the comparisons too.
+        if not (abs(length - 1.0) < 1e-2 and all(abs(number) <= FARTHEST for number in value[:3])):
             self.n_invalid += 1
             return
         edge = self.edges.get((parent, child))

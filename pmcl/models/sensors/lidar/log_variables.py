@@ -15,7 +15,7 @@ from pmcl.logs.finding import Finding
 from pmcl.logs.schema import Variable
 from pmcl.logs.sensor_variables import ReadingSeries, SensorVariables
 from pmcl.logs.validation import fail, positive_number, require_finite
-from pmcl.maps.arrays import as_numbers
+from pmcl.maps.arrays import FARTHEST, as_numbers
 
 __all__ = ["LidarVariables"]
 
@@ -146,7 +146,11 @@ def _checked_max_range(attrs: Mapping[str, object], name: str, where: str) -> fl
     number = positive_number(stated)  # type: ignore[arg-type]
     if number is None:
         got = "none" if stated is None else f"{stated!r:.60}"
-        fail(where, f"expected attribute max_range > 0 [m] on '{name}', got {got}: set the longest range of the laser")
+        fail(
+            where,
+            f"expected attribute max_range > 0 [m] on '{name}', at most {FARTHEST:g}, got {got}: set the longest range "
+            "of the laser",
+        )
     return number
 
 
@@ -172,7 +176,7 @@ def _checked_pose(attrs: Mapping[str, object], name: str, where: str) -> Float:
         pose = as_numbers(stated).ravel()  # type: ignore[arg-type]
     except TypeError:
         pose = np.empty(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
+    if pose.shape != (3,) or not (np.abs(pose[:2]) <= FARTHEST).all() or not np.isfinite(pose).all():
         got = "none" if stated is None else f"{stated!r:.60}"
         fail(
             where,

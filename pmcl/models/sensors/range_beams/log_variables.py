@@ -14,6 +14,7 @@ from pmcl.logs.finding import Finding
 from pmcl.logs.schema import Variable
 from pmcl.logs.sensor_variables import ReadingSeries, SensorVariables
 from pmcl.logs.validation import ONE_TURN, fail, positive_number, require_finite
+from pmcl.maps.arrays import FARTHEST
 
 __all__ = ["RangeVariables"]
 
@@ -79,7 +80,11 @@ def _check(dataset: xr.Dataset, where: str) -> None:
     max_range = positive_number(stated)
     if max_range is None:
         got = "none" if stated is None else repr(stated)
-        fail(where, f"expected attribute max_range > 0 [m] on 'range', got {got}: set the longest range of the sensor")
+        fail(
+            where,
+            f"expected attribute max_range > 0 [m] on 'range', at most {FARTHEST:g}, got {got}: set the longest range "
+            "of the sensor",
+        )
     dataset["range"].attrs["max_range"] = max_range
 
 
