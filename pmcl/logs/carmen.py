@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pmcl.defaults import MAX_BEAMS, UPDATE_MIN_A, UPDATE_MIN_D, UPDATE_RULES
 from pmcl.geometry import between, wrap
 from pmcl.logs.amcl_rows import thinned
-from pmcl.logs.lidar_recording import LidarRecording, RowSettings, log_of_lidars
+from pmcl.logs.lidar_recording import LidarRecording, RowSettings, log_of_lidars, require_few_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.scan_lines import PoseLines, ScanLines
 from pmcl.logs.text_lines import Line, lines_of, numbers_in
@@ -135,7 +135,7 @@ def _read(path: str | os.PathLike[str], where: str, max_beams: int | None) -> _C
         name = line.words[0]
         if name == "PARAM" and len(line.words) >= 3:
             contents.parameters[line.words[1]] = line.words[2]
-        elif name in ("ODOM", "TRUEPOS", *contents.scans) and not _add(contents, name, line):
+        elif name in ("ODOM", "TRUEPOS", *contents.scans) and not _add(contents, name, line, where):
             if not line.is_whole:
                 contents.n_cut_off += 1
                 continue
@@ -147,7 +147,7 @@ def _read(path: str | os.PathLike[str], where: str, max_beams: int | None) -> _C
     return contents
 
 
-def _add(contents: _Contents, name: str, line: Line) -> bool:
+def _add(contents: _Contents, name: str, line: Line, where: str) -> bool:
     """Add one message; False when the line is malformed."""
     if len(line.words) <= _TAIL + 1:
         return False
@@ -165,6 +165,7 @@ def _add(contents: _Contents, name: str, line: Line) -> bool:
         return False
     contents.first_scan.setdefault(name, message)
     contents.scans[name].add(time, message.robot, message.ranges)
+    require_few_readings(contents.scans[name].n_readings, where)
     contents.mounts[name].append(between(message.robot, message.laser))
     return True
 

@@ -224,13 +224,13 @@ def _landmarks(table: Table, times: Float, sightings: str | os.PathLike[str] | N
 
 
 def _of_second_table(path: str | os.PathLike[str], landmarks: LandmarkMap, times: Float) -> dict[str, Any]:
-    table = read_csv_table(path)
+    table = read_csv_table(path, texts=("landmark",))
     seen_at = _required(table, "time")
     if "landmark" not in table.columns or not {"range", "bearing"} & set(table.columns):
         fail(table.where, "expected the columns time, landmark, and range or bearing, got others: correct the header")
     kinds = [name for name in ("range", "bearing") if name in table.columns]
     read: dict[str, Any] = {f"{name}s": table.numbers(name) for name in kinds}
-    return landmark_rows(times, landmarks, seen_at, table.columns["landmark"], **read)
+    return landmark_rows(times, landmarks, seen_at, table.texts["landmark"], **read)
 
 
 def _start(table: Table, start: str | Sequence[float] | None, truth: Float | None) -> tuple[Float | None, Float | None]:

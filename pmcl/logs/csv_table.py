@@ -5,12 +5,15 @@ from __future__ import annotations
 import csv
 import os
 import re
+from array import array
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.errors import did_you_mean
+from pmcl.logs.text_lines import require_short_text
 from pmcl.logs.validation import fail
 
 __all__ = ["Table", "read_csv_table"]
@@ -23,24 +26,44 @@ _LONGEST_LINE = 1_000_000
 
 @dataclass
 class Table:
-    """The text of a table.
+    """The content of a table.
 
     Attributes
     ----------
     where : str
         The file, for messages.
-    columns : dict of str to list of str
-        Cells by the names of columns.
-    lines : list of int
+    columns : dict of str to array of float
+        Numbers by the names of columns; NaN for cells that hold none.
+    texts : dict of str to list of str
+        Columns of texts.
+    lines : array of int
         Number of the line that each row stands in.
     settings : list of (str, str, int)
         Comments ``# name: value``, with the number of their line.
     """
 
     where: str
-    columns: dict[str, list[str]] = field(default_factory=dict)
-    lines: list[int] = field(default_factory=list)
+    columns: dict[str, array[float]] = field(default_factory=dict)
+    texts: dict[str, list[str]] = field(default_factory=dict)
+    lines: array[int] = field(default_factory=lambda: array("q"))
     settings: list[tuple[str, str, int]] = field(default_factory=list)
+    # The first cell of a column that is neither empty nor a number: its row, and what it holds.
+    _unreadable: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def add(self, cells: list[str], line: int) -> None:
+        """Add a row: a cell for each column, those of numbers and those of texts in the order of the header."""
+        row = len(self.lines)
+        self.lines.append(line)
+        for name, cell in zip(self.columns, cells, strict=True):
+            if name in self.texts:
+                self.texts[name].append(cell)
+                continue
+            try:
+                number = float(cell) if cell else np.nan
+            except ValueError:
+                number = np.nan
+                self._unreadable.setdefault(name, (row, cell))
+            self.columns[name].append(number)
 
     def numbers(self, name: str, *, may_be_missing: bool = False) -> Float:
         """Return a column as numbers, shape (N,).
@@ -57,25 +80,16 @@ class Table:
         LogError
             With the first cell that is no such number.
         """
-        values = np.empty(len(self.lines))
-        for row, cell in enumerate(self.columns[name]):
-            try:
-                values[row] = float(cell) if cell or not may_be_missing else np.nan
-            except ValueError:
-                values[row] = np.nan
-                if may_be_missing:
-                    self._refuse(name, row)
-        if not may_be_missing:
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                self._refuse(name, int(bad[0]))
+        values = np.array(self.columns[name], dtype=np.float64)
+        row, came = self._unreadable.get(name, (len(values), ""))
+        bad = np.flatnonzero(~np.isfinite(values[:row]))
+        if bad.size and not may_be_missing:
+            row = int(bad[0])
+            came = "" if np.isnan(values[row]) else f"{values[row]}"
+        if row < len(values):
+            place, got = f"{self.where}, line {self.lines[row]}", f"{came!r:.40}" if came else "none"
+            fail(place, f"expected a number in column '{name}', got {got}: correct it")
         return values
-
-    def _refuse(self, name: str, row: int) -> None:
-        fail(
-            f"{self.where}, line {self.lines[row]}",
-            f"expected a number in column '{name}', got {self.columns[name][row]!r:.40}: correct it",
-        )
 
     def setting(self, name: str, count: int) -> Float | None:
         """Return the numbers of the setting with a name, shape (count,); None when there is none.
@@ -106,7 +120,9 @@ class Table:
         return values
 
 
-def read_csv_table(path: str | os.PathLike[str], known_settings: tuple[str, ...] = ()) -> Table:
+def read_csv_table(
+    path: str | os.PathLike[str], known_settings: tuple[str, ...] = (), texts: tuple[str, ...] = ()
+) -> Table:
     """Read a table: comments, one line with the names of the columns, then rows with a cell for each.
 
     Parameters
@@ -116,6 +132,8 @@ def read_csv_table(path: str | os.PathLike[str], known_settings: tuple[str, ...]
     known_settings : tuple of str, optional
         Names of comments that mean something, as regular expressions; other comments are remarks, unless their name
         looks like a misspelled one.
+    texts : tuple of str, optional
+        Names of columns that hold texts.
 
     Returns
     -------
@@ -124,18 +142,20 @@ def read_csv_table(path: str | os.PathLike[str], known_settings: tuple[str, ...]
     Raises
     ------
     LogError
-        When the file is missing, empty or no table, or a line has another number of cells than the header.
+        When the file is missing, empty, too long or no table, or a line has another number of cells than the header.
     """
     where = os.fspath(path)
     if not os.path.isfile(path):
         fail(where, "expected a CSV table, got no such file: check the path")
     table = Table(where)
     names: list[str] = []
-    number = 0
+    number, length = 0, 0
     try:
         with open(path, encoding="utf-8-sig", newline="") as stream:
             while line := stream.readline(_LONGEST_LINE):
                 number += 1
+                length += len(line)
+                require_short_text(number, length, where)
                 place = f"{where}, line {number}"
                 if len(line) == _LONGEST_LINE or "\0" in line:
                     fail(place, "expected a line of text, got something else: check the file")
@@ -148,13 +168,12 @@ def read_csv_table(path: str | os.PathLike[str], known_settings: tuple[str, ...]
                 if not names:
                     names = cells
                     _check_names(names, place)
-                    table.columns = {name: [] for name in names}
+                    table.columns = {name: array("d") for name in names}
+                    table.texts = {name: [] for name in names if name in texts}
                     continue
                 if len(cells) != len(names):
                     fail(place, f"expected {len(names)} cells, as the header has, got {len(cells)}: correct the line")
-                table.lines.append(number)
-                for name, cell in zip(names, cells, strict=True):
-                    table.columns[name].append(cell)
+                table.add(cells, number)
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         said = getattr(problem, "strerror", None) or str(problem)
         fail(where, f"expected a readable CSV table, got '{said:.80}' after line {number}: check the file")
@@ -164,8 +183,9 @@ def read_csv_table(path: str | os.PathLike[str], known_settings: tuple[str, ...]
 
 
 def _check_names(names: list[str], place: str) -> None:
+    count = Counter(names)
     for name in names:
-        if not name or names.count(name) > 1:
+        if not name or count[name] > 1:
             fail(place, f"expected a name of its own for each column, got {name!r:.40}: correct the header")
 
 

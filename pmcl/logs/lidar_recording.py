@@ -22,11 +22,23 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.validation import fail
 from pmcl.maps.occupancy_grid import OccupancyGrid
 
-__all__ = ["LidarRecording", "LidarStream", "RowSettings", "log_of_lidars", "usual_readings"]
+__all__ = [
+    "LidarRecording",
+    "LidarStream",
+    "RowSettings",
+    "log_of_lidars",
+    "require_few_readings",
+    "usual_readings",
+]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
+# Readings of all scans that are kept while a recording is read. They take 0.2 to 0.4 GB, and 0.9 GB while scans become
+# rows. A laser of 1440 rays at 10 Hz makes as many in an hour; with 60 rays of each scan they last for a day.
+_MOST_READINGS = 50_000_000
+# Readings of a log, NaN included. Each takes 50 bytes while a log is built and checked, so these take 1 GB.
+_MOST_READINGS_OF_LOG = 20_000_000
 # Clocks of one recording that mean the same instant differ by rounding only [s].
 _SAME_INSTANT = 1e-6
 
@@ -127,6 +139,29 @@ def usual_readings(ranges: NDArray[Any], min_range: float, max_range: float) -> 
         return np.where((ranges <= min_range) | (ranges >= max_range), ranges.dtype.type(np.inf), ranges)
 
 
+def require_few_readings(count: int, where: str) -> None:
+    """Check that the readings that are kept of a recording fit into memory.
+
+    Parameters
+    ----------
+    count : int
+        How many there are so far.
+    where : str
+        File, for messages.
+
+    Raises
+    ------
+    LogError
+        When there are too many.
+    """
+    if count > _MOST_READINGS:
+        fail(
+            where,
+            f"expected at most {_MOST_READINGS} readings, got more: choose a smaller --max-beams, or cut the "
+            "recording into parts",
+        )
+
+
 @dataclass(frozen=True)
 class _Scans:
     """Scans of all lasers: when they were taken, by which laser, their place in its stream, and the robot's pose."""
@@ -182,7 +217,8 @@ def log_of_lidars(
     Raises
     ------
     LogError
-        When a setting is out of range, no scan has odometry, fewer than two rows remain, or the start has no reference.
+        When a setting is out of range, no scan has odometry, fewer than two rows or too many readings remain, or the
+        start has no reference.
     MapError
         When the start lies outside the map.
     """
@@ -223,6 +259,13 @@ def log_of_lidars(
         )
     heads = np.flatnonzero(np.append(True, np.diff(row) > 0))
     times, poses = scans.times[heads], scans.poses[heads]
+    n_readings = len(times) * sum(len(lidar.angles) for lidar in recording.lidars)
+    if n_readings > _MOST_READINGS_OF_LOG:
+        fail(
+            where,
+            f"expected at most {_MOST_READINGS_OF_LOG} readings in a log, got {n_readings} in {len(times)} rows: "
+            "choose a smaller --max-beams, a greater --update-min-d, or a shorter --duration",
+        )
     increments = np.zeros((len(times), 3))
     increments[1:] = between(poses[:-1], poses[1:])
     true_poses = interpolate_poses(true_clock, truth, times, LONGEST_PAUSE) if len(true_clock) else None

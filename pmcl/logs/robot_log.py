@@ -310,7 +310,7 @@ class RobotLog(LogArrays):
         attributes_of = {name: attrs for name, (_, attrs) in laser_variables.items()}
         dataset = assemble(arrays, {**(attributes or {}), **stated}, where, names, attributes_of)
         log = cls(dataset, where, grid_map)
-        if warn:
+        if warn and log.n_readings:
             # Arrays of its own, so that the log's are not made before they are asked for.
             arrays_of_log = LogArrays(log.dataset, where, grid_map)
             warn_of((*implausible(arrays_of_log), *without_map(arrays_of_log)), where)

@@ -42,9 +42,12 @@ class ScanLines:
     ----------
     max_beams : int or None
         About how many rays of each scan are kept; None for all.
+    n_readings : int
+        Rays that are kept of all scans so far.
     """
 
     max_beams: int | None
+    n_readings: int = 0
     _poses: PoseLines = field(default_factory=PoseLines)
     _ranges: list[Float] = field(default_factory=list)
     _counts: list[int] = field(default_factory=list)
@@ -56,7 +59,9 @@ class ScanLines:
         """Add a scan: its time [s], the robot's pose [m, m, rad] and all ranges [m]."""
         self._poses.add(time, pose)
         self._counts.append(len(ranges))
-        self._ranges.append(ranges[thinned(len(ranges), self.max_beams)].copy())
+        kept = ranges[thinned(len(ranges), self.max_beams)].copy()
+        self._ranges.append(kept)
+        self.n_readings += len(kept)
 
     def stream(
         self, first: float, step: float | None, min_range: float, max_range: float, mount: Float, where: str

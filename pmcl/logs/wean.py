@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pmcl.defaults import MAX_BEAMS, UPDATE_MIN_A, UPDATE_MIN_D, UPDATE_RULES
 from pmcl.geometry import between
 from pmcl.logs.amcl_rows import thinned
-from pmcl.logs.lidar_recording import LidarRecording, RowSettings, log_of_lidars
+from pmcl.logs.lidar_recording import LidarRecording, RowSettings, log_of_lidars, require_few_readings
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.scan_lines import PoseLines, ScanLines
 from pmcl.logs.text_lines import lines_of, numbers_in
@@ -110,6 +110,7 @@ def read_wean(
             odometry.add(numbers[-1], robot)
             if kind == "L":
                 scans.add(numbers[-1], robot, _CENTIMETRE * numbers[_N_POSES:-1])
+                require_few_readings(scans.n_readings, where)
                 mounts.append(between(robot, _in_metres(numbers[3:_N_POSES])))
     if not len(scans):
         fail(where, "expected scans (lines L), got none: check the file")

@@ -112,6 +112,22 @@ def test_a_csv_table(run, tmp_path):
     assert pmcl.read_log(tmp_path / "log.nc").odometry[1].tolist() == [0.5, 0.0, 0.0]
 
 
+def test_a_recording_without_a_reading_is_refused(refused, grid, tmp_path):
+    made = MadeBag()
+    made.transform("/tf_static", 10**9, "base_link", "laser", (0.2, 0.0, 0.4))
+    for k in range(20):
+        made.odometry("/odom", 10**9 + k * 10**8, (0.3 * k, 0.0, 0.0))
+        made.scan("/scan", 10**9 + k * 10**8, np.full(30, math.nan))
+    bag = made.write(tmp_path / "blind", "mcap")
+    before = sorted(os.listdir(tmp_path))
+    line = refused("convert", "bag", bag, "-o", tmp_path / "log.nc", "--map", grid)
+    assert f"{bag}: expected readings in the 20 rows, got none" in line
+    head = "# scan_angles: 0 1\n# scan_limits: 0 9\ntime,odom_x,odom_y,odom_heading,scan_0,scan_1\n"
+    (tmp_path / "table.csv").write_text(f"{head}0,0,0,0,,\n1,1,0,0,,\n")
+    assert "got none" in refused("convert", "csv", tmp_path / "table.csv", "-o", tmp_path / "log.nc")
+    assert sorted(os.listdir(tmp_path)) == sorted([*before, "table.csv"])
+
+
 def test_a_wean_map_is_written_beside_the_log(run, tmp_path):
     cells = "\n".join(" ".join("0.0" if x == 3 else "1.0" for _ in range(4)) for x in range(5))
     head = "robot_specifications->resolution   10\n\nglobal_map[0]: 5 4\n"

@@ -10,6 +10,7 @@ from oracles.made_bags import KINDS, MadeBag, yaw
 
 from pmcl.errors import LogError
 from pmcl.geometry import between
+from pmcl.logs import lidar_recording
 from pmcl.logs.bags import unpacking
 from pmcl.logs.bags.read import read_bag
 
@@ -403,6 +404,14 @@ def test_poses_beyond_the_earth_are_left_out_and_counted(recording, tmp_path):
     log = read(recording, tmp_path / "wild", **ALL)
     assert dropped(log) == {"invalid_poses": 3}
     np.testing.assert_array_equal(log.odometry, plain.odometry)
+
+
+def test_more_readings_than_fit_into_memory(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(lidar_recording, "_MOST_READINGS", 28 * 21)
+    assert read(recording, tmp_path / "all", **ALL).n_steps == 28
+    monkeypatch.setattr(lidar_recording, "_MOST_READINGS", 28 * 21 - 1)
+    with pytest.raises(LogError, match="expected at most 587 readings, got more: choose a smaller --max-beams"):
+        read(recording, tmp_path / "more", **ALL)
 
 
 def test_scans_that_all_differ(tmp_path):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from pmcl.errors import LogError
 from pmcl.geometry import compose
+from pmcl.logs import text_lines
 from pmcl.logs.csv_log import read_csv
+from pmcl.logs.csv_table import read_csv_table
 from pmcl.logs.robot_log import RobotLog
 
 BEAMS = """# A remark: this is none of the settings
@@ -113,7 +116,7 @@ MISTAKES = {
     "two numbers": (BEAMS.replace("0.1 0 0", "0.1 0"), "line 3: expected '# beam_0:' with 3 numbers, got '0.1 0'"),
     "a cell too few": (BEAMS.replace("0.5, 0.1, 0, 0.2, , inf", "0.5, 0.1, 0, 0.2, inf"), "line 13: expected 9 cells"),
     "a word": (BEAMS.replace("inf, 1.1", "far, 1.1"), "line 13: expected a number in column 'range_1', got 'far'"),
-    "no odometry": (BEAMS.replace("0.5, 0.1, 0,", "0.5, , 0,"), "a number in column 'odometry_forward', got ''"),
+    "no odometry": (BEAMS.replace("0.5, 0.1, 0,", "0.5, , 0,"), "a number in column 'odometry_forward', got none"),
     "part of the odometry": (BEAMS.replace("odometry_left", "true_z"), "expected known columns, got 'true_z'"),
     "neither odometry": ("time,range_0\n0,1\n1,2\n", "got neither: give one of them"),
     "a gap in ranges": (BEAMS.replace("range_1,", "range_2,"), "columns range_0 to range_1, got no range_1"),
@@ -135,6 +138,35 @@ def test_mistakes(name, write):
         read_csv(path)
     assert message in str(caught.value)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_table_takes_the_memory_of_its_numbers(write):
+    rows, rays = 2000, 100
+    head = f"# scan_angles: 0 0.01\n# scan_limits: 0 9\ntime,{','.join(f'scan_{k}' for k in range(rays))}\n"
+    path = write(head + "".join(f"{row}{',1.2345' * rays}\n" for row in range(rows)))
+    tracemalloc.start()
+    try:
+        table = read_csv_table(path)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert table.numbers("scan_7").tolist() == [1.2345] * rows
+    # Texts of their own would take 60 bytes for each of the 200 000 numbers: 12 MB.
+    assert most < 4e6
+
+
+def test_texts_without_end(write, monkeypatch):
+    path = write("time,odom_x\n" + "\n" * 200 + "0,0\n")
+    assert len(read_csv_table(path).lines) == 1
+    monkeypatch.setattr(text_lines, "_MOST_LINES", 100)
+    with pytest.raises(LogError, match="expected a text of at most 1000 MB and 100 lines, got more"):
+        read_csv_table(path)
+
+
+def test_columns_of_texts_stay_texts(write):
+    table = read_csv_table(write("time,landmark,range\n0,007,1\n1,1.0,2\n", "seen.csv"), texts=("landmark",))
+    assert table.texts == {"landmark": ["007", "1.0"]}
+    assert table.numbers("range").tolist() == [1.0, 2.0]
 
 
 def test_files_that_are_no_tables(write, tmp_path):

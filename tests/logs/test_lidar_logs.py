@@ -114,6 +114,8 @@ BAD = {
     "text": (lambda d: d.assign(scan=(d.scan.dims, d.scan.values.astype(str))), r"numbers \[m\] in 'scan'"),
     "no max_range": (lambda d: stated(d, max_range=None), "max_range > 0 .* got none"),
     "endless max_range": (lambda d: stated(d, max_range=np.inf), "max_range > 0 .* got inf"),
+    "absurd max_range": (lambda d: stated(d, max_range=3e38), "max_range > 0 .* at most .* got 3e\\+38"),
+    "mount beyond the earth": (lambda d: stated(d, pose=[1e9, 0.0, 0.0]), "three finite numbers .* within 2e\\+07 m"),
     "no min_range": (lambda d: stated(d, min_range=None), "min_range on 'scan' from 0 to below .* got none"),
     "min above max": (lambda d: stated(d, min_range=10.0), "min_range .* below max_range = 10 m, got 10.0"),
     "negative min": (lambda d: stated(d, min_range=-0.1), "min_range .* got -0.1"),

@@ -11,6 +11,7 @@ from oracles.made_bags import MadeBag
 
 from pmcl.errors import LogError
 from pmcl.geometry import between, compose
+from pmcl.logs import lidar_recording, text_lines
 from pmcl.logs.bags.read import read_bag
 from pmcl.logs.carmen import read_carmen
 from pmcl.logs.wean import read_wean
@@ -153,6 +154,32 @@ def test_files_that_are_something_else(write, tmp_path, read):
     packed.write_bytes(packed.read_bytes()[:200])
     with pytest.raises(LogError, match="expected"):
         read(packed)
+
+
+@pytest.mark.parametrize("read", [read_carmen, read_wean])
+@pytest.mark.parametrize(("limit", "value"), [("_MOST_LINES", 4000), ("_LONGEST_TEXT", 30_000)])
+def test_a_packed_text_that_goes_on(write, monkeypatch, read, limit, value):
+    path = write("\n" * 5000 + " " * 40_000 + "\n", "text.log.gz")
+    assert path.stat().st_size < 500
+    with pytest.raises(LogError, match=r"expected (lines|scans)"):
+        read(path)
+    monkeypatch.setattr(text_lines, limit, value)
+    with pytest.raises(LogError, match=r"expected a text of at most .* got more: cut it into parts"):
+        read(path)
+
+
+@pytest.mark.parametrize("read", [read_carmen, read_wean])
+def test_more_readings_than_fit_into_memory(write, monkeypatch, read):
+    wean = [f"L {30 * k} 0 0 {30 * k} 0 0 {' '.join(['100'] * 180)} {k}" for k in range(5)]
+    path = write(flaser() if read is read_carmen else wean)
+    monkeypatch.setattr(lidar_recording, "_MOST_READINGS_OF_LOG", 5 * 180)
+    assert read(path, **ALL).n_steps == 5
+    monkeypatch.setattr(lidar_recording, "_MOST_READINGS_OF_LOG", 5 * 180 - 1)
+    with pytest.raises(LogError, match="expected at most 899 readings in a log, got 900 in 5 rows"):
+        read(path, **ALL)
+    monkeypatch.setattr(lidar_recording, "_MOST_READINGS", 899)
+    with pytest.raises(LogError, match="expected at most 899 readings, got more: choose a smaller --max-beams"):
+        read(path, **ALL)
 
 
 def test_a_packed_text_that_is_cut_off(write):

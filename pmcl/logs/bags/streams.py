@@ -15,6 +15,7 @@ from pmcl.logs.amcl_rows import thinned
 from pmcl.logs.bags.messages import Bag
 from pmcl.logs.bags.topics import SCAN, TF
 from pmcl.logs.bags.transforms import TransformTree
+from pmcl.logs.lidar_recording import require_few_readings
 from pmcl.logs.validation import fail
 
 __all__ = ["SCAN_STAMPS", "Scans", "Streams", "read_streams"]
@@ -24,9 +25,6 @@ Float = NDArray[np.float64]
 SCAN_STAMPS = ("first", "last")
 """Which ray of a sweep the stamp of a scan belongs to."""
 
-# Readings of all scans that are kept in memory, of 4 bytes each: 0.4 GB. A laser of 1440 rays at 10 Hz fills them in
-# two hours; with 60 rays of each scan they last for two days.
-_MOST_READINGS = 100_000_000
 _NANO = 1_000_000_000
 
 
@@ -100,8 +98,8 @@ class Scans:
             fail(
                 where,
                 f"expected scans in {self.topic} with the same number of rays and angles, got {len(self._shapes)} "
-                f"scans that all differ, such as {self._shapes[0].n_rays} and {self._shapes[1].n_rays} rays: choose another "
-                "topic with --scan",
+                f"scans that all differ, such as {self._shapes[0].n_rays} and {self._shapes[1].n_rays} rays: choose "
+                "another topic with --scan",
             )
         usual = self.exact[most]
         angles: Float = usual.angle_min + usual.angle_increment * np.arange(usual.n_rays, dtype=np.float64)
@@ -202,12 +200,7 @@ def read_streams(
                 _add(streams.tree, each.header.frame_id, each.child_frame_id, time, each.transform)
         elif kind == SCAN:
             n_readings += _add_scan(streams, topic, message, recorded, max_beams, scan_stamp, bag.where)
-            if n_readings > _MOST_READINGS:
-                fail(
-                    bag.where,
-                    f"expected at most {_MOST_READINGS:g} readings, got more: choose a smaller --max-beams, or cut the "
-                    "bag into parts",
-                )
+            require_few_readings(n_readings, bag.where)
         else:
             pose = getattr(message, "pose", None) or message.transform
             child = getattr(message, "child_frame_id", "")

@@ -180,8 +180,8 @@ def _checked_pose(attrs: Mapping[str, object], name: str, where: str) -> Float:
         got = "none" if stated is None else f"{stated!r:.60}"
         fail(
             where,
-            f"expected attribute pose on '{name}' as three finite numbers (x [m], y [m], yaw [rad]), got {got}: "
-            "say where the laser sits on the robot",
+            f"expected attribute pose on '{name}' as three finite numbers (x [m], y [m], yaw [rad]), within "
+            f"{FARTHEST:g} m, got {got}: say where the laser sits on the robot",
         )
     if abs(pose[2]) > _ONE_TURN:
         fail(where, f"expected the yaw of 'pose' on '{name}' within one turn, got {pose[2]:g} rad: convert degrees")
