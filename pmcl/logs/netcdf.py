@@ -33,6 +33,9 @@ def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         When the file is missing, truncated or no NetCDF file.
     """
     where = os.fspath(path)
+    if os.path.exists(path) and not os.path.isfile(path):
+        # A folder has nothing to read, and a pipe that nobody writes to would be waited for without end.
+        fail(where, "expected a NetCDF file, got something that is no file: check the path")
     try:
         with open(path, "rb") as stream:
             classic = stream.read(3) == b"CDF"

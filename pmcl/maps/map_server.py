@@ -161,6 +161,9 @@ def _read_yaml(where: str) -> dict[str, Any]:
     from ruamel.yaml import YAML
     from ruamel.yaml.constructor import ConstructorError
 
+    if os.path.exists(where) and not os.path.isfile(where):
+        # A folder has nothing to read, and a pipe that nobody writes to would be waited for without end.
+        raise MapError(f"{where}: expected a map's YAML file, got something that is no file: check the path")
     try:
         with open(where, "rb") as stream:
             raw = stream.read(_LONGEST_YAML + 1)

@@ -53,6 +53,8 @@ def read_wean_map(path: str | os.PathLike[str]) -> OccupancyGrid:
         When the file is missing, damaged, too large or of another format, or no cell is occupied.
     """
     where = check_path("path of the map", path, error=MapError)
+    if os.path.exists(where) and not os.path.isfile(where):
+        raise MapError(f"{where}: expected a map of the Wean recordings, got something that is no file: check the path")
     try:
         with open(where, "rb") as raw:
             packed = raw.read(2) == b"\x1f\x8b"

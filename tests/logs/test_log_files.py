@@ -82,7 +82,8 @@ def test_a_damaged_file_is_one_line(log, tmp_path, damage, says):
 
 
 def test_a_missing_file_and_a_folder_are_one_line(tmp_path):
-    for path in (tmp_path / "absent.nc", tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # reading it would wait for a writer
+    for path in (tmp_path / "absent.nc", tmp_path, tmp_path / "pipe"):
         with pytest.raises(LogError, match=r"expected a .*NetCDF file, got") as caught:
             RobotLog.read(path)
         assert str(caught.value).startswith(f"{path}: ")

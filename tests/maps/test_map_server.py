@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import struct
 import tracemalloc
 import zlib
@@ -320,7 +321,8 @@ def test_what_is_no_map_is_one_line(tmp_path, content):
 
 
 def test_a_missing_file_and_a_folder_are_one_line(tmp_path):
-    for path in (tmp_path / "gone.yaml", tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # reading it would wait for a writer
+    for path in (tmp_path / "gone.yaml", tmp_path, tmp_path / "pipe"):
         with pytest.raises(MapError, match="expected a map's YAML file"):
             OccupancyGrid.read(path)
 

@@ -1,6 +1,7 @@
 """The grid map of the Wean Hall recordings, made and recorded."""
 
 import gzip
+import os
 
 import numpy as np
 import pytest
@@ -77,3 +78,9 @@ def test_the_published_map_is_the_hall(shared_data):
     assert (columns.min(), columns.max(), rows.min(), rows.max()) == (41, 799, 319, 709)
     # Corridors are wider than their walls are thick.
     assert np.count_nonzero(grid.cells == FREE) > 2 * np.count_nonzero(grid.cells == OCCUPIED)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(MapError, match="got something that is no file"):
+        read_wean_map(tmp_path / "pipe")
