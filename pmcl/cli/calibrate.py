@@ -161,9 +161,10 @@ def _tempered(model: RobotModel, logs: list[RobotLog], seed: int) -> RobotModel:
 
     found = held_out_exponent(logs, model, seed=seed, report=lambda line: click.echo(f"tempering: {line}", err=True))
     click.echo("exponent  held-out log score of a reading [nat]  behind the best", err=True)
-    for row in zip(found.exponents, found.log_score, found.behind, found.behind_error, strict=True):
-        mark = "  <- chosen" if row[0] == found.chosen else ""
-        click.echo("{:8.4f}  {:37.4f}  {:6.4f} +- {:.4f}{}".format(*row, mark), err=True)
+    rows = zip(found.exponents, found.log_score, found.behind, found.behind_error, strict=True)
+    for exponent, score, behind, error in rows:
+        mark = "  <- chosen" if exponent == found.chosen else ""
+        click.echo(f"{exponent:8.4f}  {score:37.4f}  {behind:6.4f} +- {error:.4f}{mark}", err=True)
     return with_exponent(model, found.chosen)
 
 
