@@ -22,8 +22,8 @@ _IMPORTED = (
     "pmcl.calibration.workflow", "pmcl.exports.export", "pmcl.identifiability.workflow", "pmcl.localization.offline",
     "pmcl.logs.bags.read", "pmcl.logs.barfoot", "pmcl.logs.carmen", "pmcl.logs.csv_log", "pmcl.logs.mrclam",
     "pmcl.logs.wean", "pmcl.maps.map_server", "pmcl.maps.wean", "pmcl.models.model_file", "pmcl.posterior.files",
-    "pmcl.preflight.check", "pmcl.reports.posterior_report", "arviz", "h5netcdf", "matplotlib.pyplot", "rosbags.rosbag1",
-    "rosbags.rosbag2", "ruamel.yaml", "scipy.io", "PIL.PngImagePlugin", "PIL.PpmImagePlugin",
+    "pmcl.preflight.check", "pmcl.reports.posterior_report", "arviz", "h5netcdf", "matplotlib.pyplot",
+    "rosbags.rosbag1", "rosbags.rosbag2", "ruamel.yaml", "scipy.io", "PIL.PngImagePlugin", "PIL.PpmImagePlugin",
 )  # fmt: skip
 
 
