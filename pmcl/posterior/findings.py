@@ -93,7 +93,10 @@ def named_finding(
     lasts = name.startswith("lasting") and z > 0.0
     seconds = duration_of_errors(series, name) if lasts else 0.0
     channels = channels if name == "channel shift" else ()
-    message = _sentence(name, series.kind, z, seconds, _channel_names(channels, series.kind, log))
+    names = _channel_names(channels, series, log)
+    if series.sectors:
+        channels = tuple(channel for sector in channels for channel in series.sectors[sector])
+    message = _sentence(name, series.kind, z, seconds, names)
     return Finding(name, number, series.kind, channels, z, p_value, seconds, message)
 
 
@@ -102,9 +105,12 @@ def kind_label(kind: str) -> str:
     return plural_of(kind)
 
 
-def _channel_names(channels: Sequence[int], kind: str, log: RobotLog) -> str:
-    """Name beams or landmarks, landmarks as the log names them."""
-    dimension = variables([kind])[kind].dims[-1]
+def _channel_names(channels: Sequence[int], series: ScoreSeries, log: RobotLog) -> str:
+    """Name beams, sectors of beams or landmarks, landmarks as the log names them."""
+    dimension = variables([series.kind])[series.kind].dims[-1]
+    if series.sectors:
+        sectors = [series.sectors[channel] for channel in channels]
+        return f"{dimension}s " + " and ".join(f"{sector[0]} to {sector[-1]}" for sector in sectors)
     known = log.dataset.coords[dimension].values if dimension in log.dataset.coords else None
     names = ", ".join(str(channel if known is None else known[channel]) for channel in channels)
     return f"{dimension}{'s' if len(channels) > 1 else ''} {names}"

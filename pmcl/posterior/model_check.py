@@ -2,7 +2,8 @@
 
 A filter with the posterior mean predicts each reading from all readings before it. When the model is right, the
 probability integral transforms of the readings are independent and uniform. When it is not, they show what disagrees:
-errors that last, a wrong spread, a biased channel. Convergence of the chains shows none of this.
+errors that last, a wrong spread, a biased channel. Convergence of the chains shows none of this. Beams of a scan share
+their errors and are judged together (:mod:`pmcl.posterior.shared_errors`).
 
 References
 ----------
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from pmcl.engine.contract import reading_exponent
 from pmcl.errors import FilterError
 from pmcl.filtering.lost import lost_at
 from pmcl.filtering.one_step_ahead import Predictions, predict_readings
@@ -28,6 +30,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.posterior.findings import Finding, lost_finding, named_finding
 from pmcl.posterior.score_statistics import ScoreSeries, Statistic, score_statistics
+from pmcl.posterior.shared_errors import sectors_of
 
 __all__ = ["LEVEL", "ModelCheck", "ScoredPass", "check_model"]
 
@@ -126,7 +129,8 @@ def check_model(bound: BoundModel, theta: Float, seed: int = 0) -> ModelCheck:
             lost.append(lost_finding(number, float(log.times[lost_row])))
         elif predictions is not None:
             rng = np.random.default_rng(for_scores)
-            for series in _series(predictions, normal, log.times):
+            exponents = [float(reading_exponent(sensor)) for sensor in tables.sensors]
+            for series in _series(predictions, normal, log.times, exponents):
                 judged.append(_Judged(number, series, *score_statistics(series, _SIMULATIONS, rng)))
     findings, p_value = _deviations(judged, bound.logs) if judged else ((), np.nan)
     everything = (*lost, *findings)
@@ -173,14 +177,19 @@ def _particles_needed(predictions: Predictions, n_particles: int) -> int:
     return int(np.ceil(n_particles * _EFFECTIVE_PARTICLES / max(effective, 1.0)))
 
 
-def _series(predictions: Predictions, normal: Float, times: Float) -> list[ScoreSeries]:
-    """Return the scores of each kind of reading that has enough of them."""
+def _series(predictions: Predictions, normal: Float, times: Float, exponents: Sequence[float]) -> list[ScoreSeries]:
+    """Return the scores of each kind of reading that has enough of them; `exponents` are those of the sensors."""
     series = []
     for number, kind in enumerate(predictions.kinds):
         selected = np.flatnonzero((predictions.kind == number) & ~np.isnan(normal))
-        if selected.size >= _LEAST_READINGS:
-            time, channel = times[predictions.time[selected]], predictions.channel[selected]
-            series.append(ScoreSeries(kind, time, channel, normal[selected]))
+        if selected.size < _LEAST_READINGS:
+            continue
+        found = ScoreSeries(kind, times[predictions.time[selected]], predictions.channel[selected], normal[selected])
+        exponent = exponents[predictions.sensor[selected[0]]]
+        if exponent < 1.0:
+            found = ScoreSeries(kind, *sectors_of(found.time, found.channel, found.score, exponent))
+        if found.score.size >= _LEAST_READINGS:
+            series.append(found)
     return series
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from pmcl.posterior.shared_errors import MOST_ROWS, shared_normals
+
 __all__ = ["ScoreSeries", "Statistic", "duration_of_errors", "score_statistics"]
 
 Float = NDArray[np.float64]
@@ -43,12 +45,16 @@ class ScoreSeries(NamedTuple):
         Its beam or landmark.
     score : ndarray, shape (N,)
         Its normal score.
+    sectors : tuple of tuple of int
+        The beams of each channel, where channels are sectors of scans whose beams share their errors
+        (:mod:`~pmcl.posterior.shared_errors`); else empty.
     """
 
     kind: str
     time: Float
     channel: Int
     score: Float
+    sectors: tuple[tuple[int, ...], ...] = ()
 
 
 class Statistic(NamedTuple):
@@ -90,10 +96,16 @@ def score_statistics(
     statistics : tuple of Statistic, length F
     values : ndarray, shape (F, 1 + M)
         Column 0 belongs to the readings, the others to the simulations. All have mean 0 and variance 1 for independent
-        standard normal scores. Cost: O(N M).
+        standard normal scores. Cost: O(N M). Of sectors, which may share less than simulated ones do, no shape is
+        judged, a "spread" below 0 is 0, and those of the readings of a long log are what
+        :data:`~pmcl.posterior.shared_errors.MOST_ROWS` rows like its own would show.
     """
-    scores = np.concatenate([series.score[:, None], rng.standard_normal((series.score.size, simulations))], axis=1)
     n = series.score.size
+    if series.sectors:
+        simulated = shared_normals(series.time, series.channel, len(series.sectors), simulations, rng)
+    else:
+        simulated = rng.standard_normal((n, simulations))
+    scores = np.concatenate([series.score[:, None], simulated], axis=1)
     probability = special.ndtr(scores)
     # The cosine is positive for readings shorter than predicted.
     signs = (-1.0, 1.0, 1.0, 1.0)
@@ -102,6 +114,8 @@ def score_statistics(
         for wave, sign in zip(range(_WAVES), signs, strict=True)
     ]
     names = [Statistic("shift"), Statistic("spread"), Statistic("shape"), Statistic("shape")]
+    if series.sectors:
+        names, values = names[:2], [values[0], np.maximum(values[1], 0.0)]
     channels = np.unique(series.channel)
     if channels.size > 1:
         for channel in channels:
@@ -116,7 +130,12 @@ def score_statistics(
         if channels.size > 1:
             names += [Statistic("lasting together", -1, float(scale)) for scale in scales]
             values += list(together)
-    return tuple(names), np.array(values)
+    found = np.array(values)
+    if series.sectors:
+        # What is shared scatters more; the simulations tell by how much.
+        found /= np.sqrt(np.mean(found[:, 1:] ** 2, axis=1, keepdims=True))
+        found[:, 0] /= np.sqrt(max(np.unique(series.time).size / MOST_ROWS, 1.0))
+    return tuple(names), found
 
 
 def duration_of_errors(series: ScoreSeries, name: str) -> float:

@@ -15,8 +15,10 @@ from pmcl.errors import FilterError
 from pmcl.filtering.one_step_ahead import predict_readings
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.robot_model import default_model
+from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensor import Sensor
+from pmcl.models.sensors.lidar.sensor import Lidar
 from pmcl.posterior import predictive_check
 from pmcl.posterior.access import theta_draws
 from pmcl.posterior.compat import assemble, attributes, extended, find_group, group_names
@@ -26,6 +28,7 @@ from pmcl.posterior.model_check import LEVEL, check_model
 from pmcl.posterior.predictive_check import check_group
 from pmcl.posterior.predictive_draws import _replicated
 from pmcl.simulations.landmark_field import simulate_landmark_field
+from pmcl.simulations.lidar_room import simulate_lidar_room
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -92,6 +95,33 @@ def test_a_channel_that_is_off_is_named():
     assert 5 in one.channels
     assert one.message.startswith("ranges of beam")
     assert "5" in one.message
+
+
+def checked_scans(seed, effect=None, sensor=None):
+    """The check of a lidar's plain model at the true theta; each beam has an error of its own."""
+    effects = () if effect is None else (effect,)
+    log = simulate_lidar_room(80, seed, sensor=Lidar(exponent=1.0), effects=effects, hide_effects=True)
+    bound = RobotModel(IncrementNoise(), (sensor or Lidar(),)).bind(log)
+    return check_model(bound, np.array([log.true_theta[name] for name in bound.names]), seed)
+
+
+def test_scans_of_a_right_model_are_seldom_objected_to():
+    """Tempered or not: beams that are more independent than the exponent says are no fault."""
+    found = [checked_scans(seed) for seed in range(8)] + [checked_scans(8, sensor=Lidar(exponent=1.0))]
+    assert sum(not one.adequate for one in found) <= 1
+    assert np.nanstd(found[-1].passes[0].scores) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("effect", "name"), [("sensor-yaw=0.1", "channel shift"), ("sensor-latency=2.0", "lasting"),
+                                              ("range-bias=0.15", "shift")])  # fmt: skip
+def test_what_is_wrong_with_scans_is_named(effect, name):
+    found = checked_scans(1, effect)
+    assert found.adequate is False
+    named = {one.name: one for one in found.findings}
+    assert name in named
+    if name == "channel shift":
+        assert 0 in named[name].channels
+        assert named[name].message.startswith("lidar ranges of rays 0 to 14 ")
 
 
 def test_a_lost_robot_is_a_finding_with_its_time():
@@ -304,6 +334,18 @@ def test_calibrated_correct_models_are_seldom_objected_to():
         bound = default_model(log).bind(log)
         wrong += check_model(bound, quick_fit(bound, seed, effort=THOROUGH).theta, seed).adequate is False
     assert wrong <= 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["likelihood-field", "beam"])
+def test_calibrated_models_of_scans_are_seldom_objected_to(model):
+    """At a rate of 1 %, more than two of 20 happen in one of a thousand runs."""
+    wrong = 0
+    for seed in range(20):
+        log = simulate_lidar_room(120, seed, sensor=Lidar(model=model, max_beams=60))
+        bound = RobotModel(IncrementNoise(), (Lidar(model=model),)).bind(log)
+        wrong += check_model(bound, quick_fit(bound, seed, effort=THOROUGH).theta, seed).adequate is False
+    assert wrong <= 2
 
 
 @pytest.mark.slow

@@ -69,7 +69,9 @@ class Lidar(LidarVariables, Sensor):
     Where single readings are foreseen, one under the likelihood field is less than z with probability
     ``z_hit Phi(s / sigma_hit) + z_rand z / max_range``. Before the ray meets something, -s is the distance of the
     reading's end from the nearest occupied cell; behind it, s is that of the mirror image before it. As distances are
-    known to within half a cell, the distribution function is given for s less and plus half a cell.
+    known to within half a cell, the distribution function is given for s less and plus half a cell, and the variance
+    is that of the distances of cells, ``sigma_hit^2``, plus that of a place within a cell, a twelfth of its side
+    squared.
     """
 
     model: str = field(default="likelihood-field", metadata={"comment": 'or "beam"', "choices": tuple(MODELS)})

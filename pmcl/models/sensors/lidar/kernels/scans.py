@@ -250,7 +250,9 @@ def _level_of(sensor, r, z, i, scratch):
 def _one_of_field(sensor, r, z, logp, low, high, scratch):
     """Do the same for a likelihood field: see :class:`~pmcl.models.sensors.lidar.sensor.Lidar` for its distribution."""
     log_density, half = sensor.level_log_density[sensor.laser[r]], 0.5 * sensor.resolution
-    per_std, mount = math.sqrt(0.5) / sensor.std[r], _mount(sensor, r)
+    # A reading's place within its cells is uniform, and adds to the scatter of its distance.
+    per_std = math.sqrt(0.5 / (sensor.std[r] ** 2 + sensor.resolution**2 / 12.0))
+    mount = _mount(sensor, r)
     unrelated = sensor.z_rand * z / sensor.max_range[r]
     for i in range(logp.size):
         level = _level_of(sensor, r, z, i, scratch)
