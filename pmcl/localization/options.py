@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmcl.checks import check_choice, check_flag, check_number, check_whole
+from pmcl.engine.scalars import TURN
 from pmcl.errors import FilterError
 from pmcl.filtering.kernels.resampling import SCHEMES
 from pmcl.filtering.tracker import Options
@@ -14,10 +15,15 @@ from pmcl.models.starts.table import PoseStart
 
 __all__ = ["FilterOptions"]
 
+# Particles for each square metre that a robot may be on when its place is unknown, and the greatest number that is
+# chosen without being asked for, which needs some 80 MB.
+_PER_SQUARE_METRE, _MOST_CHOSEN = 50.0, 200_000
+
 # Bins in which KLD-sampling counts particles, its bound, and the 99 % normal quantile (Fox 2003, section 4).
 _BIN_SIZE, _BIN_TURN, _KLD_ERROR, _KLD_QUANTILE = 0.2, np.radians(15.0), 0.05, 2.3263
-# Rates and tolerance of the two averages of Gutmann and Fox (2002): one odd row is forgiven, two are not.
-_FAST, _SLOW, _TOLERANCE = 0.4, 0.02, 2.0
+# Rates of the two averages of Gutmann and Fox (2002), for rows of so many independent readings, and the tolerance: one
+# odd row is forgiven, two are not. Rows of fewer readings scatter more, so more of them are averaged.
+_FAST, _SLOW, _USUAL_READINGS, _TOLERANCE = 0.4, 0.02, 8.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -88,17 +94,35 @@ class FilterOptions:
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), 2, error=FilterError, advice="100 to 10000 are usual")
 
-    def for_kernel(self, particles: int, draws: int, picks: int, start: object) -> Options:
+    def most_particles(self, particles: int, start: object, elsewhere: object = None) -> int:
+        """Return the greatest number of particles that the filter will have.
+
+        Parameters
+        ----------
+        particles : int
+            Number of particles once the place of the robot is known.
+        start, elsewhere : NamedTuple
+            Start table, and that of a robot that was carried away; None without recovery.
+        """
+        if self.start_particles is not None:
+            return max(particles, self.start_particles)
+        areas = [_area(table) for table in (start, elsewhere) if _is_somewhere(table)]
+        return max(particles, min(round(_PER_SQUARE_METRE * max(areas, default=0.0)), _MOST_CHOSEN))
+
+    def for_kernel(
+        self, particles: int, draws: int, picks: int, start: object, elsewhere: object = None
+    ) -> Options:
         """Return the same as numbers.
 
         Parameters
         ----------
         particles : int
-            Number of particles, or greatest number of an adaptive filter.
+            Number of particles once the place of the robot is known.
         draws, picks : int
             Draws K, and draws per reading.
-        start : NamedTuple
-            Start table: whether pose or heading are unknown decides on annealing.
+        start, elsewhere : NamedTuple
+            Start table: whether pose or heading are unknown decides on annealing and on the number of particles; and
+            the start table of a robot that was carried away, None without recovery.
 
         Raises
         ------
@@ -116,8 +140,24 @@ class FilterOptions:
         pose = getattr(start, "pose", start)
         if self.annealed and isinstance(pose, PoseStart):
             annealed = 2 if bool(np.isinf(pose.std).all()) else 1
+        most = self.most_particles(particles, start, elsewhere)
+        first = most if self.start_particles is not None or _is_somewhere(start) else particles
         return Options(
-            self.start_particles or particles, least, particles, draws, picks, SCHEMES[self.scheme],
-            float(self.threshold), annealed, self.recover, _FAST, _SLOW, _TOLERANCE,
+            first, least, most, draws, picks, SCHEMES[self.scheme],
+            float(self.threshold), annealed, self.recover, _FAST, _SLOW, _USUAL_READINGS, _TOLERANCE,
             _BIN_SIZE, float(_BIN_TURN), _KLD_ERROR, _KLD_QUANTILE,
         )  # fmt: skip
+
+
+def _is_somewhere(start: object) -> bool:
+    """Return whether a start table leaves the position open."""
+    # States with more than a pose begin with a belief about the pose too.
+    pose = getattr(start, "pose", start)
+    return isinstance(pose, PoseStart) and bool(np.isinf(pose.std[0]))
+
+
+def _area(start: object) -> float:
+    """Return the area [m^2] over which the position of a start table is uniform."""
+    pose = getattr(start, "pose", start)
+    assert isinstance(pose, PoseStart)
+    return float(np.exp(-pose.log_density) / (TURN if np.isinf(pose.std[2]) else 1.0))
