@@ -75,8 +75,8 @@ def with_found_start(
         )
     model = replace(default_model(log) if model is None else model, start=StartBelief())
     backward = localize(
-        _backwards(log, track.pose_mean[-1], np.maximum(std, _LEAST_STD)), model, posterior, method, theta=theta, particles=particles,
-        seed=seed, options=FilterOptions(),
+        _backwards(log, track.pose_mean[-1], np.maximum(std, _LEAST_STD)), model, posterior, method,
+        theta=theta, particles=particles, seed=seed, options=FilterOptions(),
     )  # fmt: skip
     found = np.maximum(_WIDER * np.sqrt(np.diagonal(backward.pose_cov[-1])), _LEAST_STD)
     return log.select(0, log.n_steps, start_mean=backward.pose_mean[-1], start_std=found)

@@ -49,9 +49,11 @@ class FilterOptions:
         Look for the robot elsewhere when its readings suddenly become unlikely, as after being carried away.
     least_particles : int, optional
         Let the number of particles follow the spread of the belief, from this many up to the number given (KLD
-        sampling). Without it the number stays as it is.
+        sampling). By default the number given is also the least.
     start_particles : int, optional
-        Number of particles of the first row; the number given when left out.
+        Greatest number of particles: while the place of the robot is unknown, at the first row or when it is looked
+        for elsewhere. They become fewer as the belief narrows, down to the number given. By default 50 for each square
+        metre that the robot may be on, where its place is unknown or it is looked for, else the number given.
 
     Notes
     -----
@@ -61,9 +63,14 @@ class FilterOptions:
     a row, and the time a row 82, 91, 114, 149, 221 and with 50 draws 449 microseconds. Draws that are chosen once for
     the whole run are up to 2.5 % worse and depend on luck: hence anew at each row.
 
-    A start anywhere needs no more than the usual 500 particles with the annealed first reading: in the L-shaped room
-    of the Amigobot 100 of 100 starts converge with 500, 98 and 99 (usual and sharp readings) with 200, 94 and 95 with
+    In the L-shaped room of the Amigobot a start anywhere needs no more than the usual 500 particles with the annealed
+    first reading: 100 of 100 starts converge with 500, 98 and 99 (usual and sharp readings) with 200, 94 and 95 with
     100. Without annealing it is 75 and 69 with 500, and 95 and 85 with 5000.
+
+    Scans whose beams are tempered tell little each, so the belief stays wide for many rows, and particles must cover
+    it. In Wean Hall (483 m^2, a corridor whose doors look alike) 4 of 24 starts find the robot with 500 particles; of
+    100 starts with 5, 10, 20 and 50 for each square metre 63, 87, 97 and 99 do.
+    A filter that begins with 50 and then follows its belief needs 0.2 s for the 132 s of this log.
 
     References
     ----------
