@@ -58,7 +58,10 @@ _PARTICLES = click.IntRange(min=2)
     "--least-particles", type=_PARTICLES, help="Let the number of particles follow the spread of the belief, "
     "from this number up to --particles.  [default: always --particles]",
 )
-@click.option("--start-particles", type=_PARTICLES, help="Particles of the first row.  [default: as --particles]")
+@click.option(
+    "--start-particles", type=_PARTICLES, help="Particles while the place of the robot is unknown; they become fewer "
+    "as its belief narrows, down to --particles.  [default: 50 for each square metre that it may be on]",
+)
 @click.option(
     "--draws",
     type=_COUNT,
@@ -76,6 +79,13 @@ _PARTICLES = click.IntRange(min=2)
     help="Where the robot may begin: where the log says, or anywhere on the map.  [default: as the model says]",
 )
 @click.option("--recover", is_flag=True, help="Look for the robot elsewhere when its readings become unlikely.")
+@click.option(
+    "--started-log",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    callback=writable_file,
+    help="Write the log with the first pose that the whole track tells, where that was unknown (for 'pmcl calibrate').",
+)
 @seed_option()
 @click.option(
     "--tum",
@@ -113,13 +123,14 @@ def localize(
     particles: int,
     start: str | None,
     seed: int,
+    started_log: Path | None,
     tum: Path | None,
     mcap: Path | None,
     tum_reference: Path | None,
     **settings: Any,
 ) -> None:
     """Tell where a robot was at each row of its log, with the parameters that a calibration found."""
-    outputs = [path for path in (output, tum, mcap, tum_reference) if path is not None]
+    outputs = [path for path in (output, started_log, tum, mcap, tum_reference) if path is not None]
     _protect(ctx, outputs, [path for path in (log_file, map_file, posterior_file, model_file) if path is not None])
 
     if mcap is not None:
@@ -145,6 +156,11 @@ def localize(
     except PosteriorError as error:
         raise PosteriorError(f"{posterior_file}: {error}" if posterior_file else f"--posterior: {error}") from None
     track.write(output)
+    if started_log is not None:
+        from pmcl.localization.beginning import with_found_start
+
+        started = with_found_start(log, track, model, posterior, method, theta=theta, particles=particles, seed=seed)
+        started.write(started_log)
     if tum is not None:
         track.write_tum(tum)
     if mcap is not None:
@@ -153,6 +169,12 @@ def localize(
         write_tum(tum_reference, log.times, log.true_poses)
     _print_summary(track)
     click.echo(f"track: {output}")
+    if started_log is not None:
+        (x, y, yaw), std = started.start_mean, started.start_std
+        click.echo(
+            f"log: {started_log}, begins at {x:.2f},{y:.2f},{yaw:.3f} [m, m, rad] with standard deviations "
+            f"{std[0]:.2f} m, {std[1]:.2f} m, {std[2]:.2f} rad"
+        )
 
 
 def _model(log: RobotLog, model_file: str | None, posterior: Posterior | None, start: str | None) -> RobotModel:

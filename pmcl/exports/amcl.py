@@ -14,6 +14,7 @@ from pmcl.exports.calibration import Calibration, Laser
 from pmcl.exports.likelihood_field import FieldWeights, beluga_weights, nav2_weights
 from pmcl.exports.spread import Spread, spread_of
 from pmcl.exports.text import Line, described
+from pmcl.models.sensors.lidar.table import cell_noise
 
 __all__ = ["CONSUMERS", "Consumer", "amcl_lines"]
 
@@ -200,7 +201,9 @@ def _field_lines(calibration: Calibration, consumer: Consumer, laser: Laser) -> 
     translate = beluga_weights if consumer.normalised else nav2_weights
 
     def weights(sigma_hit: float, z_rand: float) -> FieldWeights:
-        return translate(1.0 - z_rand, z_rand, sigma_hit, laser.max_range, exponent)
+        # pmcl's sigma_hit leaves out what the map's cells hide, the other programs' contains it.
+        noise = math.hypot(sigma_hit, cell_noise(calibration.resolution))
+        return translate(1.0 - z_rand, z_rand, noise, laser.max_range, exponent)
 
     def some(sigma_hit: Any, z_rand: Any) -> list[FieldWeights]:
         pairs = list(np.broadcast(sigma_hit, z_rand))

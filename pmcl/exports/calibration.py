@@ -70,6 +70,8 @@ class Calibration:
         ``update_min_d`` [m], ``update_min_a`` [rad] and ``update_rule`` of the logs, where these agree.
     lasers : tuple of Laser
         Those of the first log.
+    resolution : float
+        Side of a cell of the first log's grid map [m]; 0 without one.
     remarks : tuple of str
         What a user must know before these numbers drive a robot.
     """
@@ -82,6 +84,7 @@ class Calibration:
     model: dict[str, Any]
     updates: dict[str, Any]
     lasers: tuple[Laser, ...]
+    resolution: float
     remarks: tuple[str, ...]
 
     @property
@@ -153,6 +156,7 @@ def calibration_of(data: Posterior, method: str = "mean") -> Calibration:
         model=model,
         updates=_updates(data),
         lasers=_lasers(data),
+        resolution=_resolution(data),
         remarks=_remarks(data),
     )
 
@@ -181,6 +185,12 @@ def _updates(data: Posterior) -> dict[str, Any]:
 def _numbered(key: object, name: str) -> bool:
     """Return whether a key is that of one of several logs, such as ``update_min_d_1``."""
     return str(key).startswith(f"{name}_") and str(key).removeprefix(f"{name}_").isdecimal()
+
+
+def _resolution(data: Posterior) -> float:
+    constant = find_group(data, "constant_data")
+    grids = [constant[key] for key in ("grid_map", "grid_map_0") if key in constant]
+    return float(grids[0].attrs.get("map_resolution", 0.0)) if grids else 0.0
 
 
 def _lasers(data: Posterior) -> tuple[Laser, ...]:

@@ -18,7 +18,6 @@ from pmcl.models.tables import Tables
 __all__ = ["Beliefs", "Options", "Tracker", "stack_tables"]
 
 Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 
 class Beliefs(NamedTuple):
@@ -119,15 +118,15 @@ class Tracker:
         self._state.numbers[:] = 0.0
         self._state.shuffled[:] = np.arange(self._state.shuffled.size)
 
-    def run(self, begin: int, end: int, counts: Int, rng: np.random.Generator, what: str) -> Beliefs:
+    def run(self, begin: int, end: int, counts: Float, rng: np.random.Generator, what: str) -> Beliefs:
         """Take in rows ``begin <= row < end`` of the tables.
 
         Parameters
         ----------
         begin, end : int
             Rows.
-        counts : ndarray of int, shape (end - begin,)
-            Number of readings at each.
+        counts : ndarray, shape (end - begin,)
+            How many independent readings those of each row are worth, for recovery.
         rng : numpy.random.Generator
             Source of randomness.
         what : str
@@ -153,7 +152,7 @@ class Tracker:
         return beliefs
 
     def run_until_lost(
-        self, begin: int, end: int, counts: Int, rng: np.random.Generator, what: str
+        self, begin: int, end: int, counts: Float, rng: np.random.Generator, what: str
     ) -> tuple[Beliefs, int]:
         """Do the same as :meth:`run`, but do not raise when the filter loses the robot.
 
@@ -178,6 +177,7 @@ class Tracker:
         mean, covariance = np.full((n_rows, self.size), np.nan), np.full((n_rows, self.size, self.size), np.nan)
         # For each row: log score, effective sample size, number of particles.
         summary = np.full((n_rows, 3), np.nan)
+        counts = np.asarray(counts, dtype=float)
         row, status = begin - 1, FINE
         while row < end - 1 and status == FINE:
             status, row = track.localize_rows(

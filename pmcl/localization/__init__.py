@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pmcl.localization.beginning import with_found_start
     from pmcl.localization.many import localize_many
     from pmcl.localization.metrics import pose_errors, relative_errors, relative_errors_by_distance
     from pmcl.localization.offline import localize
@@ -30,6 +31,7 @@ __all__ = [
     "pose_errors",
     "relative_errors",
     "relative_errors_by_distance",
+    "with_found_start",
 ]
 
 _HOMES = {
@@ -42,6 +44,7 @@ _HOMES = {
     "pose_errors": "pmcl.localization.metrics",
     "relative_errors": "pmcl.localization.metrics",
     "relative_errors_by_distance": "pmcl.localization.metrics",
+    "with_found_start": "pmcl.localization.beginning",
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

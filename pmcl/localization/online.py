@@ -14,7 +14,7 @@ from pmcl.errors import FilterError, LogError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.localization.options import FilterOptions
 from pmcl.localization.recent import RecentRows
-from pmcl.localization.setup import prepare
+from pmcl.localization.setup import independent_readings, prepare
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.posterior.compat import Posterior
@@ -155,7 +155,7 @@ class OnlineLocalizer:
         with np.errstate(invalid="ignore", divide="ignore"):
             tracker.use([bound.tables(value)[0] for value in self._prepared.theta])
         row = self._rows.n_steps - 1
-        counts = np.array([self._rows.readings_of_last_row()], dtype=np.int64)
+        counts = independent_readings(tracker.tables, row + 1)[row:]
         beliefs = tracker.run(row, row + 1, counts, self._rng, f"time {time:g} s")
         return PoseEstimate(
             float(time), beliefs.mean[0, :3], beliefs.covariance[0, :3, :3], float(beliefs.log_score[0]),

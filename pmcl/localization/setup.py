@@ -18,12 +18,14 @@ from pmcl.localization.parameters import choose_theta
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import path_formulas
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
+from pmcl.models.sensor import sensor_of
 from pmcl.models.starts.belief import StartBelief
 from pmcl.models.starts.table import GaussianStart, PoseStart, WiderStart
+from pmcl.models.tables import Tables
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.estimates import posterior_mean
 
-__all__ = ["Prepared", "anywhere", "prepare"]
+__all__ = ["Prepared", "anywhere", "independent_readings", "prepare"]
 
 Float = NDArray[np.float64]
 
@@ -43,8 +45,8 @@ class Prepared:
         Values of the parameters that the filter works with.
     tracker : Tracker
         The filter.
-    counts : ndarray of int, shape (T,)
-        Readings at each row.
+    counts : ndarray, shape (T,)
+        How many independent readings those of each row are worth.
     options : FilterOptions
         How it works.
     """
@@ -52,7 +54,7 @@ class Prepared:
     bound: BoundModel
     theta: Float
     tracker: Tracker
-    counts: NDArray[np.int64]
+    counts: Float
     options: FilterOptions
 
     @property
@@ -94,16 +96,36 @@ def prepare(
     particles = check_whole("particles", particles, 2, error=FilterError, advice="25 to 1000 are usual")
     if theta is not None:
         check_type("theta", theta, Mapping, error=ModelError, advice="write a dict with parameter names as keys")
-    greatest = max(particles, options.start_particles or 0)
-    check_memory("the particles", _BYTES_PER_PARTICLE * greatest, error=FilterError, advice="use fewer")
     model = model or default_model(log)
     bound = model.bind(_with_path(log, model, posterior, theta))
     values, picks = choose_theta(bound, posterior, method, theta, options)
     tables = [bound.tables(value)[0] for value in values]
     start = tables[0].start
     unknown_start = anywhere(log, start) if options.recover else None
-    tracker = Tracker(tables, unknown_start, options.for_kernel(particles, len(values), picks, start))
-    return Prepared(bound, values, tracker, log.readings_of_rows(), options)
+    greatest = options.most_particles(particles, start, unknown_start)
+    check_memory("the particles", _BYTES_PER_PARTICLE * greatest, error=FilterError, advice="use fewer")
+    tracker = Tracker(tables, unknown_start, options.for_kernel(particles, len(values), picks, start, unknown_start))
+    return Prepared(bound, values, tracker, independent_readings(tables[0], log.n_steps), options)
+
+
+def independent_readings(tables: Tables, n_steps: int) -> Float:
+    """Return how many independent readings those of each row are worth, of all sensors together.
+
+    Parameters
+    ----------
+    tables : Tables
+        The tables of one theta.
+    n_steps : int
+        Rows that count, from the first on.
+
+    Returns
+    -------
+    ndarray, shape (n_steps,)
+    """
+    total = np.zeros(n_steps)
+    for sensor in tables.sensors:
+        total += sensor_of(sensor).independent_readings(sensor, n_steps)
+    return total
 
 
 def _with_path(

@@ -396,6 +396,28 @@ class Sensor(SensorVariables, ABC):
         return ReadingIndex((_table_name(table),), nothing, nothing, rows, np.full(n_steps, np.nan))
 
 
+    @classmethod
+    def independent_readings(cls, table: Any, n_steps: int) -> Float:
+        """Return how many independent readings those of each row are worth.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            A table of the sensor.
+        n_steps : int
+            Rows of the log that count, from the first on.
+
+        Returns
+        -------
+        ndarray, shape (n_steps,)
+            By default the number of readings that :meth:`index` names and that were measured. A sensor whose densities
+            are tempered returns less.
+        """
+        index = cls.index(table, n_steps)
+        measured = ~np.isnan(index.reading)
+        return np.bincount(index.time[measured], minlength=n_steps).astype(float)
+
+
 def _table_name(table: Any) -> str:
     return type(table).__name__
 

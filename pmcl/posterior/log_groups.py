@@ -148,7 +148,10 @@ def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:
 def _picture(grid: OccupancyGrid) -> xr.DataArray:
     """Return a grid map as a small variable: what pages about the posterior draw."""
     small = grid.coarser(_MOST_CELLS)
-    attrs = {"units": "1", "long_name": "0 free, 1 occupied, 2 unknown", "resolution": small.resolution}
+    attrs = {
+        "units": "1", "long_name": "0 free, 1 occupied, 2 unknown", "resolution": small.resolution,
+        "map_resolution": grid.resolution,
+    }  # fmt: skip
     return xr.DataArray(small.cells, dims=("grid_row", "grid_column"), attrs={**attrs, "origin": list(small.origin)})
 
 

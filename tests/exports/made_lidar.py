@@ -17,7 +17,7 @@ MAX_RANGE = 25.0
 
 def lidar_posterior(
     theta=None, *, model="likelihood-field", exponent=0.05, motion="differential", effects=(), fixed=None, unknown=(),
-    beams=60, updates=True, spread=0.05, lasers=("",), logs=1, seed=0, **attributes,
+    beams=60, updates=True, spread=0.05, lasers=("",), logs=1, seed=0, resolution=None, **attributes,
 ):  # fmt: skip
     """A posterior whose draws scatter around `theta` by the share `spread`; those named in `unknown` are the prior."""
     theta = dict(FIELD if theta is None else theta)
@@ -41,6 +41,9 @@ def lidar_posterior(
             scan = {"min_range": 0.1, "max_range": MAX_RANGE, "pose": np.array([0.3, -0.1 * k, 0.2 * k])}
             observed[f"scan{key}"] = (f"scan{key}_reading", np.ones(3), scan)
             constant[f"scan_angle{key}"] = (f"ray{key}", np.linspace(-2.0, 2.0, beams))
+        if resolution is not None:
+            cells = {"map_resolution": resolution, "resolution": 4.0 * resolution}
+            constant[f"grid_map{ending}"] = ((f"grid_row{ending}", f"grid_column{ending}"), np.zeros((2, 2)), cells)
         constant[f"odometry{ending}"] = ((f"time{ending}", "increment"), np.zeros((2, 3)))
     lines = [f'motion = "{motion}"', "[sensors.lidar]", f'model = "{model}"', f"exponent = {exponent}"]
     lines += ["[fixed]", *(f"{name} = {value}" for name, value in (fixed or {}).items())]

@@ -92,6 +92,19 @@ def test_an_untempered_likelihood_field_is_exported_exactly(consumer, theta, sce
     np.testing.assert_allclose(theirs - theirs[0], ours - ours[0], rtol=0, atol=1e-9 * np.ptp(ours))
 
 
+@pytest.mark.parametrize("logs", [1, 2])
+def test_what_the_cells_hide_is_part_of_the_exported_noise(logs, scene):
+    """The log density of pmcl on a map with cells of 0.1 m has the variance sigma_hit^2 + 0.1^2 / 6."""
+    scan, poses = scene
+    data = lidar_posterior(exponent=1.0, resolution=0.1, logs=logs)
+    mean = posterior_mean(data)
+    content = exported("nav2", data)
+    whole = mean | {"sigma_hit": math.sqrt(mean["sigma_hit"] ** 2 + 0.01 / 6.0)}
+    ours = np.array([field_log_weight(pose, scan, whole, 1.0) for pose in poses])
+    theirs = np.array([nav2_likelihood_field(pose, scan, ANGLES, content, room) for pose in poses])
+    np.testing.assert_allclose(theirs - theirs[0], ours - ours[0], rtol=0, atol=1e-9 * np.ptp(ours))
+
+
 def test_taking_numbers_over_as_they_are_gives_another_filter(scene):
     """The negative control: pmcl's own z_hit and z_rand in nav2's file."""
     scan, poses = scene

@@ -43,7 +43,7 @@ def _rail_tracker(reading_std, anywhere=None, n=400):
     log = rail_log(3, seed=4)
     tables = rail_model().bind(log).tables(np.array([0.5, reading_std]))[0]
     wide = GaussianStart(np.array([50.0]), np.array([20.0]))
-    options = Options(n, n, n, 1, 1, 0, 1.0, 1, True, 0.5, 0.1, 2.0, 0.2, 0.3, 0.05, 2.33)
+    options = Options(n, n, n, 1, 1, 0, 1.0, 1, True, 0.5, 0.1, 1.0, 2.0, 0.2, 0.3, 0.05, 2.33)
     tables = tables._replace(start=wide)
     exact = stats.norm(50.0, np.hypot(20.0, reading_std)).logpdf(tables.sensors[0].reading[0])
     gain = 20.0**2 / (20.0**2 + reading_std**2)
@@ -198,7 +198,8 @@ def test_a_filter_without_any_plausible_particle_recovers_or_says_so(rng):
     log = rail_log(6, seed=1)
     bound = rail_model().bind(log)
     tables = bound.tables(np.array([0.5, 1e-200]))[0]
-    tracker = Tracker([tables], None, Options(9, 9, 9, 1, 1, 0, 1.0, 0, False, 0.5, 0.1, 2.0, 0.2, 0.3, 0.05, 2.33))
+    options = Options(9, 9, 9, 1, 1, 0, 1.0, 0, False, 0.5, 0.1, 1.0, 2.0, 0.2, 0.3, 0.05, 2.33)
+    tracker = Tracker([tables], None, options)
     with pytest.raises(FilterError, match="row 0 every particle has weight zero"):
         tracker.run(0, 6, np.ones(6, dtype=np.int64), make_rng(1), "rail")
     tracker.forget()

@@ -89,7 +89,7 @@ def test_columns():
 
 
 def _options(draws, picks):
-    return Options(N, N, N, draws, picks, 0, 0.0, 0, False, 0.5, 0.1, 2.0, 0.2, 0.3, 0.05, 2.33)
+    return Options(N, N, N, draws, picks, 0, 0.0, 0, False, 0.5, 0.1, 1.0, 2.0, 0.2, 0.3, 0.05, 2.33)
 
 
 def _twin(all_tables, picks, rng, move, density, circular):

@@ -56,7 +56,9 @@ def field_density(grid, point, sigma, z_rand, max_range, longest=2.0):
     occupied = np.argwhere(grid.cells == 1)
     nearest = grid.resolution * np.sqrt(((occupied - (row, column)) ** 2).sum(axis=1)).min()
     distance = min(nearest, longest)
-    return (1.0 - z_rand) * stats.norm.pdf(distance, scale=sigma) + z_rand / max_range
+    # Two points, each anywhere in its cell, are apart by the difference of two uniform numbers.
+    hidden = 2.0 * grid.resolution**2 / 12.0
+    return (1.0 - z_rand) * stats.norm.pdf(distance, scale=np.sqrt(sigma**2 + hidden)) + z_rand / max_range
 
 
 def beam_density(z, length, max_range, sigma, z_short, z_max, z_rand, rate):

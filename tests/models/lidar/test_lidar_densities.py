@@ -197,3 +197,19 @@ def test_index_and_store(rng):
         stored = dataset[name].values
         assert np.flatnonzero(~np.isnan(stored).all(axis=0)).tolist() == rays
         np.testing.assert_array_equal(stored[index.time[mine], index.channel[mine]], np.arange(54.0)[mine])
+
+
+def test_the_density_of_a_likelihood_field_is_bounded(rng):
+    """Many readings end in occupied cells, at distance 0: without noise of the cells sigma_hit would fall to 0."""
+    log, path = small_log(rng)
+    bound = Lidar(exponent=1.0).bind(log)
+    noise = log.grid_map.resolution / np.sqrt(6.0)
+    highest = np.log(1.0 / (noise * np.sqrt(2.0 * np.pi)))
+    index = np.array([0, 1])
+    for sigma in (1.0, 1e-3, 1e-12, 0.0):
+        theta = np.array([sigma, 0.1])
+        table = bound.table(theta)
+        assert table.level_log_density.max() < highest
+        assert table.std[0] == pytest.approx(np.hypot(sigma, noise), rel=1e-12)
+        statistics = bound.statistics(table, path, Lidar.ideal_readings(table, path), index, theta)
+        assert theta_logpdf(statistics, theta) == pytest.approx(logpdf_along(table, path).sum(), rel=1e-9)

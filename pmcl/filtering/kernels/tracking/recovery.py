@@ -50,13 +50,15 @@ def look_elsewhere(tables, stack, anywhere, options, row, rng, state, mean, cova
     ``diagnostics[0]`` holds the log score of the old states, and afterwards that of the mixture.
     """
     size, numbers = state_size(tables.motion), state.numbers
-    n, rows, suspicion = int(numbers[COUNT]), state.scratch.size // state.log_weights.size, numbers[SUSPICION]
+    known, suspicion = int(numbers[COUNT]), numbers[SUSPICION]
+    # A robot that may be anywhere needs as many particles as the filter may have; they become fewer with its spread.
+    n, rows = options.most, state.scratch.size // state.log_weights.size
     fresh = n if suspicion >= 1.0 else n // 2
     kept = n - fresh
-    particles, spare = columns(state.particles, size, n), columns(state.spare, size, n)
+    particles, spare = columns(state.particles, size, known), columns(state.spare, size, n)
     if kept > 0:
         ancestors = state.ancestors[:kept]
-        resample(SYSTEMATIC, state.weights[:n], numbers[WEIGHT_SUM], rng, ancestors, columns(state.rate, 2, n))
+        resample(SYSTEMATIC, state.weights[:known], numbers[WEIGHT_SUM], rng, ancestors, columns(state.rate, 2, n))
         gather(particles, ancestors, kept, spare, 0)
     drawn = columns(state.particles, size, fresh)
     status, log_evidence, _ = draw_annealed(

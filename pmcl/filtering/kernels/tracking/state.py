@@ -39,7 +39,9 @@ class Options(NamedTuple):
     recover : bool
         Whether to look for the robot elsewhere when readings become unlikely.
     fast, slow : float
-        Rates of the short- and the long-term average likelihood of a reading.
+        Rates of the short- and the long-term average likelihood of a reading, for each step.
+    usual_readings : float
+        Independent readings of a step for which these rates hold; a step of fewer has accordingly smaller ones.
     tolerance : float
         Look elsewhere when the short-term average falls below the long-term one divided by this.
     bin_size, bin_turn : float
@@ -59,6 +61,7 @@ class Options(NamedTuple):
     recover: bool
     fast: float
     slow: float
+    usual_readings: float
     tolerance: float
     bin_size: float
     bin_turn: float

@@ -70,13 +70,15 @@ def _suspicion(options, numbers, status, log_score, count):
     """Update the average likelihoods of a reading; return the probability that the robot is somewhere else.
 
     The rule of Gutmann and Fox (2002): one minus the ratio of short- to long-term average, with a tolerance. The
-    likelihood is the geometric mean over the readings of a step, so that steps with many and with few compare.
+    likelihood is the geometric mean over the independent readings of a step, so that steps with many and with few
+    compare. A step of few readings moves the averages less, as it tells less.
     """
-    likelihood = math.exp(log_score / max(count, 1)) if status == FINE else 0.0
+    likelihood = math.exp(log_score / max(count, 1.0)) if status == FINE else 0.0
     if numbers[SEEN] == 0.0:
         numbers[FAST] = numbers[SLOW] = likelihood
-    numbers[FAST] += options.fast * (likelihood - numbers[FAST])
-    numbers[SLOW] += options.slow * (likelihood - numbers[SLOW])
+    share = min(1.0, count / options.usual_readings)
+    numbers[FAST] += (1.0 - (1.0 - options.fast) ** share) * (likelihood - numbers[FAST])
+    numbers[SLOW] += (1.0 - (1.0 - options.slow) ** share) * (likelihood - numbers[SLOW])
     if status == ALL_ZERO:
         return 1.0  # nowhere near any particle
     if numbers[SLOW] <= 0.0:
@@ -145,8 +147,8 @@ def localize_rows(tables, stack, options, origin, begin, end, counts, rng, state
         See :class:`~pmcl.filtering.kernels.tracking.state.Options`.
     origin, begin, end : int
         Rows of the tables: the one that results are counted from, and those to take in.
-    counts : ndarray of int, shape (N,)
-        Number of readings at rows origin, origin + 1, ...
+    counts : ndarray, shape (N,)
+        How many independent readings those of rows origin, origin + 1, ... are worth.
     rng : numpy.random.Generator
         Source of randomness.
     state : FilterState

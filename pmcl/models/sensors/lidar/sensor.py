@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -29,7 +30,7 @@ from pmcl.models.sensors.lidar.log_variables import LidarVariables
 from pmcl.models.sensors.lidar.quick import quick_scans
 from pmcl.models.sensors.lidar.scoring import rays_that_differ
 from pmcl.models.sensors.lidar.simulation import simulate
-from pmcl.models.sensors.lidar.table import BEAM, FIELD, OPEN_RAY, LidarTable
+from pmcl.models.sensors.lidar.table import BEAM, FIELD, OPEN_RAY, LidarTable, cell_noise
 from pmcl.models.sensors.lidar.tempering import usual_exponent
 
 __all__ = ["MODELS", "USUAL_BEAMS", "Lidar"]
@@ -63,7 +64,10 @@ class Lidar(LidarVariables, Sensor):
     -----
     The beam model is a density of the reading. The likelihood field is the product of nav2's ``likelihood_field_prob``
     with a normalised hit, as beluga has it: a density of how far a reading ends from a wall that is met square on, plus
-    the uniform density of an unrelated one. It does not ask what stands between, and no echo says nothing.
+    the uniform density of an unrelated one. It does not ask what stands between, and no echo says nothing. The variance
+    of a hit is ``sigma_hit**2 + cell**2 / 6``: where in its cell a reading ends is not asked, nor where in its cell a
+    wall is. Without the second term the density of readings that end in an occupied cell would grow without bound as
+    sigma_hit goes to 0, and so would the posterior: on a map with cells of 0.1 m chains then end at 1e-23 m.
     Readings at or below the laser's `min_range` count as not measured.
 
     Where single readings are foreseen, one under the likelihood field is less than z with probability
@@ -216,6 +220,11 @@ class Lidar(LidarVariables, Sensor):
             _decoded(table.names), table.laser[beam], table.ray[beam], time, table.reading[:n_steps].ravel()
         )
 
+    @classmethod
+    def independent_readings(cls, table: LidarTable, n_steps: int) -> Float:
+        """Return the rays of each row that say something, times the exponent with which they count."""
+        return np.asarray(table.exponent * table.measured[:n_steps])
+
 
 def chosen_rays(count: int, most: int) -> Int:
     """Return at most `most` rays of a scan of `count`, spread evenly from the first to the last."""
@@ -245,9 +254,11 @@ class BoundLidar:
         n_rays = self.base.ray.size
         if self.base.model == FIELD:
             sigma, z_rand = (float(value) for value in theta)
+            # A noise below zero has no meaning and gives NaN, which whoever proposed it is told.
+            std = math.hypot(sigma, cell_noise(self.base.resolution)) if sigma >= 0.0 else math.nan
             return self.base._replace(
-                std=np.full(n_rays, sigma), z_hit=1.0 - z_rand, z_rand=z_rand,
-                level_log_density=self._level_log_density(sigma, z_rand),
+                std=np.full(n_rays, std), z_hit=1.0 - z_rand, z_rand=z_rand,
+                level_log_density=self._level_log_density(std, z_rand),
             )  # fmt: skip
         sigma, z_short, z_max, z_rand, rate = (float(value) for value in theta)
         return self.base._replace(
@@ -255,13 +266,13 @@ class BoundLidar:
             z_rand=z_rand, lambda_short=rate,
         )  # fmt: skip
 
-    def _level_log_density(self, sigma: float, z_rand: float) -> Float:
+    def _level_log_density(self, std: float, z_rand: float) -> Float:
         """Return the log density at each distance for each laser, (lasers, K)."""
         _, first = np.unique(self.base.laser, return_index=True)
         uniform = z_rand / self.base.max_range[first, None]
         # Numbers without meaning give NaN, which whoever proposed them is told.
         with np.errstate(divide="ignore", invalid="ignore"):
-            log_hit = np.log1p(-z_rand) - 0.5 * (self.base.level_distance / sigma) ** 2 - np.log(sigma) - HALF_LOG_2PI
+            log_hit = np.log1p(-z_rand) - 0.5 * (self.base.level_distance / std) ** 2 - np.log(std) - HALF_LOG_2PI
             return owned(np.logaddexp(log_hit, np.log(uniform)))
 
     def statistics(
@@ -289,5 +300,5 @@ def _field_counts(table: LidarTable, levels: Int, index: Int, theta: Float) -> F
     _, first = np.unique(table.laser, return_index=True)
     return FieldCounts(
         index, owned(theta), table.level_distance[level], counts[found].astype(float),
-        1.0 / table.max_range[first][laser], table.exponent,
+        1.0 / table.max_range[first][laser], cell_noise(table.resolution), table.exponent,
     )  # fmt: skip

@@ -30,6 +30,8 @@ def simulate(table: LidarTable, path: Float, rng: np.random.Generator) -> LidarT
     expected = np.clip(table.scale * lengths_along(table, poses) + table.bias, 1e-3, OPEN_RAY * table.max_range)
     std = np.broadcast_to(table.std, shape)
     if table.model != BEAM:
+        # The likelihood field rounds where a reading ends to a cell; what is drawn here has that noise already.
+        std = np.sqrt(np.maximum(std**2 - table.resolution**2 / 12.0, 0.0))
         std = std / np.maximum(np.cos(incidence(table, poses)), _LEAST_COSINE)
     reading = expected + std * rng.standard_normal(shape)
     # A hit is positive: those few that are not are drawn again.

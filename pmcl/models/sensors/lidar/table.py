@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.tables import Axes, NoExtras
 
-__all__ = ["BEAM", "FIELD", "LONGEST_DISTANCE", "OPEN_RAY", "LidarExtras", "LidarTable"]
+__all__ = ["BEAM", "FIELD", "LONGEST_DISTANCE", "OPEN_RAY", "LidarExtras", "LidarTable", "cell_noise"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -27,6 +28,20 @@ LONGEST_DISTANCE = 2.0
 They go on outside the map. Walls often are the outermost cells of a map, and half of the readings of such a wall end
 behind it. nav2 counts each of these as if it ended this far from any wall: on the recorded robot Jarvis, whose map ends
 at its walls, that moves the estimated positions by 0.08 m."""
+
+
+def cell_noise(resolution: float) -> float:
+    """Return how far apart two points are that lie anywhere in one cell, across a wall, as a standard deviation [m].
+
+    The likelihood field compares the cell in which a reading ends with the cell that holds the wall, and knows neither
+    of the two points more closely. Both are uniform over the side of their cell.
+
+    Parameters
+    ----------
+    resolution : float
+        Side of a cell [m].
+    """
+    return resolution / math.sqrt(6.0)
 
 
 class LidarExtras(NamedTuple):
@@ -70,7 +85,8 @@ class LidarTable(NamedTuple):
     bias, scale : ndarray, shape (R,)
         Expected reading = scale * length + bias [m].
     std : ndarray, shape (R,)
-        Standard deviation of a hit [m]; the likelihood field has it in `level_log_density`.
+        Standard deviation of a hit [m]. Under the likelihood field it contains that of :func:`cell_noise`, and is the
+        one of `level_log_density`.
     max_range : ndarray, shape (R,)
         Longest range that each ray's laser reports [m].
     laser, ray : ndarray of int, shape (R,)

@@ -29,6 +29,8 @@ class FieldCounts(NamedTuple):
         Distances [m], and how many readings of a laser end there.
     uniform : ndarray, shape (N,)
         1 / max_range of that laser [1/m].
+    cell_noise : float
+        Standard deviation of what the cells hide [m], see :func:`pmcl.models.sensors.lidar.table.cell_noise`.
     exponent : float
         Of each reading's density.
     """
@@ -38,6 +40,7 @@ class FieldCounts(NamedTuple):
     distance: Float
     counts: Float
     uniform: Float
+    cell_noise: float
     exponent: float
 
 
@@ -64,9 +67,10 @@ class BeamReadings(NamedTuple):
 
 @theta_logpdf.register(FieldCounts)
 def _field(statistics, theta):
-    std, z_rand = parameter_value(statistics, theta, 0), parameter_value(statistics, theta, 1)
+    sigma, z_rand = parameter_value(statistics, theta, 0), parameter_value(statistics, theta, 1)
     if not 0.0 <= z_rand <= 1.0:
         return -np.inf
+    std = math.hypot(sigma, statistics.cell_noise)
     constant = math.log((1.0 - z_rand) / std) - HALF_LOG_2PI
     value = 0.0
     for k in range(statistics.counts.size):
