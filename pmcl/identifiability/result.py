@@ -137,7 +137,7 @@ class Identification:
         Pairs of parameters whose predicted posterior correlation is strong, the strongest first.
     effective_draws : float
         Effective number of the weighted draws from which standard deviations are computed; for a model with gross
-        errors, the length of the chain.
+        errors, of the chain's draws of the parameter that has fewest.
     notes : tuple of str
         What a reader should know about how these numbers came about.
     """

@@ -21,6 +21,7 @@ from pmcl.identifiability.result import CANNOT_TELL, Advice, Identification, Pre
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
+from pmcl.posterior.compat import bulk_ess
 from pmcl.preflight.check import require_rows
 from pmcl.sampling.transforms import Unconstrained
 
@@ -38,8 +39,9 @@ _MINUTES = (1.0, 2.0, 5.0, 10.0)
 _TABLE_SECONDS = 60.0
 # Rows of a prior's quantiles, from which its spread in unconstrained parameters is computed.
 _QUANTILES = 400
-# Length of the chain for models with gross errors: standard deviations are then known to about a tenth.
-_EFFORT = LONG
+# Length of the chain for models with gross errors. It is continued, so many times at most, until each parameter has so
+# many effective draws: standard deviations are then known to about a tenth.
+_EFFORT, _CONTINUED, _ENOUGH_DRAWS = LONG, 4, 100.0
 # Correlations above this are told.
 _STRONG = 0.7
 # Fewer effective draws than these are told: standard deviations are then uncertain by a tenth or more.
@@ -99,14 +101,14 @@ def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = T
     if evidence.is_gaussian:
         draws = weighted_draws(bound, log_posterior(evidence, transform), mode, transform, seed)
         path = evidence.references[0]
+        effective_draws = draws.effective_size
     else:
-        fit = quick_fit(bound, seed, effort=_EFFORT)
-        draws, path = equal_draws(fit.draws, transform), fit.path
+        draws, path, effective_draws = _by_chain(bound, transform, seed)
     predictions, prior_spread = _predictions(bound.parameters, draws, transform)
     tried: dict[Drive, Float] = {}
     notes = []
-    if draws.effective_size < _FEW_DRAWS:
-        notes.append(f"the standard deviations are rough: they rest on {draws.effective_size:.0f} effective draws")
+    if effective_draws < _FEW_DRAWS:
+        notes.append(f"the standard deviations are rough: they rest on {effective_draws:.0f} effective draws")
     if drives:
         tried, failures = _information_of_drives(log, path, model, draws, transform, seed)
         notes += failures
@@ -121,7 +123,7 @@ def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = T
         predictions=predictions,
         drives=shares,
         correlations=_correlations(bound.names, draws),
-        effective_draws=draws.effective_size,
+        effective_draws=effective_draws,
         notes=tuple(notes),
     )
 
@@ -152,6 +154,24 @@ def _most_probable(bound: BoundModel, transform: Unconstrained, seed: int) -> tu
             break
     assert evidence is not None
     return evidence, transform.to_line(theta)
+
+
+def _by_chain(bound: BoundModel, transform: Unconstrained, seed: int) -> tuple[WeightedDraws, Float, float]:
+    """Return draws of a chain, their mean path, and how many independent draws the slowest parameter has."""
+    fit = quick_fit(bound, seed, effort=_EFFORT)
+    kept, effective = fit.draws, _effective_number(fit.draws)
+    for number in range(_CONTINUED):
+        if effective >= _ENOUGH_DRAWS:
+            break
+        fit = quick_fit(bound, seed + number + 1, path=fit.path, draws=fit.draws, effort=_EFFORT)
+        kept = np.concatenate([kept, fit.draws])
+        effective = _effective_number(kept)
+    return equal_draws(kept, transform), fit.path, effective
+
+
+def _effective_number(draws: Float) -> float:
+    """Return the least effective number of a chain's draws (N, d) over the parameters."""
+    return min(bulk_ess(column[None]) for column in draws.T)
 
 
 def _smoothed(bound: BoundModel, theta: Float, rng: np.random.Generator, before: Float | None) -> Float:
