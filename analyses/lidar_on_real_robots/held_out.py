@@ -1,0 +1,124 @@
+"""From a bag to nav2: what the exported parameters are worth on the part of the drive that they have not seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+from judge import JUDGED_PARTICLES, ellipse_radius, errors, fit_judge, log_density_of_truth
+from nav2_filter import CUBES, PRODUCT, Settings, grid_of_nav2, run_filter
+from recordings import jarvis, jarvis_map
+from tables import Table
+
+import pmcl
+from pmcl.exports.export import export_text
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.sensors.lidar.sensor import Lidar
+from pmcl.posterior.access import parameter_names, theta_draws
+from pmcl.posterior.diagnostics import summarize
+
+CALIBRATION = ("log", "exponent", "parameter", "mean", "sd", "low", "median", "high", "r_hat", "beams")
+RESULT = ("laser", "judged", "map", "settings", "seed", "position_rmse", "position_worst", "heading_rmse", "coverage_95",
+          "lost", "readings", "scan", "truth", "radius", "particles", "ignored")  # fmt: skip
+ROWS = ("laser", "judged", "map", "settings", "time", "error", "sd")
+DEFAULTS = Settings(alphas=(0.2,) * 4, sigma_hit=0.2, z_hit=0.5, z_rand=0.5, rule=CUBES)
+HAND = Settings(alphas=(0.1,) * 4, sigma_hit=0.1, z_hit=0.5, z_rand=0.4, rule=CUBES, beam=True)
+MARGIN = 2.0
+
+
+def model_of(log, exponent: float | None) -> RobotModel:
+    """Return the default model, tempered otherwise if asked for."""
+    usual = default_model(log)
+    return usual if exponent is None else RobotModel(usual.motion, (Lidar(exponent=exponent),))
+
+
+def calibrated(name: str, log, exponent: float | None, folder: Path, draws: int, chains: int) -> str:
+    """Return the exported file of a calibration, which is made if it is not there; all in `folder`."""
+    kind = "tempered" if exponent is None else "untempered"
+    path = folder / f"nav2_{name}_{kind}.yaml"
+    if path.exists():
+        return path.read_text()
+    data = pmcl.calibrate(log, model_of(log, exponent), draws=draws, chains=chains)
+    table = Table(folder / "calibrations.csv", CALIBRATION, 3)
+    summary = summarize(data)
+    values = theta_draws(data).reshape(-1, len(parameter_names(data)))
+    beams = Lidar().usual_settings(log)["exponent"]
+    for k, parameter in enumerate(parameter_names(data)):
+        low, median, high = np.quantile(values[:, k], (0.05, 0.5, 0.95))
+        numbers = (values[:, k].mean(), values[:, k].std(ddof=1), low, median, high)
+        r_hat = float(summary["r_hat"].sel(parameter=parameter))
+        table.add(name, beams if exponent is None else exponent, parameter, *numbers, r_hat, 60)
+    text = export_text(data, "nav2")
+    path.write_text(text)
+    print(text, flush=True)
+    return text
+
+
+def settings_of(text: str) -> Settings:
+    """Read an exported file as nav2 would."""
+    found = yaml.safe_load(text)["amcl"]["ros__parameters"]
+    assert found["laser_model_type"] == "likelihood_field_prob"
+    return Settings(
+        alphas=tuple(found[f"alpha{k}"] for k in (1, 2, 3, 4)), sigma_hit=found["sigma_hit"], z_hit=found["z_hit"],
+        z_rand=found["z_rand"], rule=PRODUCT, laser_max_range=found["laser_max_range"], max_beams=found["max_beams"],
+    )  # fmt: skip
+
+
+def contestants(tempered: Settings, untempered: Settings | None) -> dict[str, Settings]:
+    """Return all settings that are compared, by their names in the results; the last three say what makes the gap."""
+    settings = {"defaults": DEFAULTS, "hand": HAND, "export": tempered}
+    if untempered is not None:
+        settings |= {
+            "untempered export": untempered,
+            "defaults, exported alphas": DEFAULTS._replace(alphas=tempered.alphas),
+            "defaults, exported laser": tempered._replace(alphas=DEFAULTS.alphas),
+            "defaults, product": DEFAULTS._replace(rule=PRODUCT),
+        }
+    return settings
+
+
+def run(folder: Path, lasers, untempered_lasers, directions, seeds: int, draws: int, chains: int) -> None:
+    """Calibrate what is not calibrated and localize what is not localized."""
+    table = Table(folder / "held_out.csv", RESULT, 5)
+    rows = Table(folder / "held_out_rows.csv", ROWS, 4)
+    maps = {"as it is": jarvis_map(), "with margin": jarvis_map().with_margin(MARGIN)}
+    maps = {name: grid_of_nav2(grid) for name, grid in maps.items()}
+    for laser in lasers:
+        for train, judged in directions:
+            name = f"jarvis_{laser}_{train}"
+            log = jarvis(laser, train)
+            tempered = settings_of(calibrated(name, log, None, folder, draws, chains))
+            untempered = None
+            if laser in untempered_lasers:
+                untempered = settings_of(calibrated(name, log, 1.0, folder, draws, chains))
+            compare(laser, judged, contestants(tempered, untempered), maps, seeds, (table, rows), fit_judge(log, jarvis(laser, judged)))
+
+
+def compare(laser, judged, settings, maps, seeds, tables, judge) -> None:
+    table, rows = tables
+    log = jarvis(laser, judged, None)
+    truth = log.true_poses
+    for which, grid in maps.items():
+        for name, chosen in settings.items():
+            if rows.knows(laser, judged, which, name):
+                continue
+            off = []
+            for seed in range(seeds):
+                rng = np.random.default_rng([seed, 1])
+                start = log.start_mean + log.start_std * rng.standard_normal(3)
+                run = run_filter(log, grid, chosen, [seed, 2], start_mean=start, start_std=log.start_std)
+                scores = np.array([judge.scores(t, run.predicted[t, : run.n[t]][:JUDGED_PARTICLES])
+                                   for t in range(log.n_steps)])  # fmt: skip
+                found = errors(run.mean, run.covariance, truth)
+                off.append(np.hypot(*(run.mean - truth)[:, :2].T))
+                if not table.knows(laser, judged, which, name, seed):
+                    table.add(
+                        laser, judged, which, name, seed, *found.values(), *scores.mean(axis=0),
+                        log_density_of_truth(run.mean, run.covariance, truth).mean(), ellipse_radius(run.covariance),
+                        run.n.mean(), run.ignored.mean(),
+                    )  # fmt: skip
+            off = np.array(off)
+            for t in range(log.n_steps):
+                rows.add(laser, judged, which, name, log.times[t], off[:, t].mean(), off[:, t].std())
+            print(laser, judged, which, name, f"{np.sqrt((off**2).mean()):.4f} m", flush=True)
