@@ -29,9 +29,9 @@ from pmcl.models.sensors.lidar.sensor import Lidar
 ELLIPSE = 5.991464547107979
 """The 95 % quantile of a chi-square distribution with two degrees of freedom."""
 JUDGED_PARTICLES = 250
-REFERENCE = 0.01
-"""Error of the reference poses [m]: 4 mm of the system itself, and 1 cm of how it was put into the map's frame. It is
-added to each filter's covariance, so that no filter is blamed for what the reference does not know."""
+REFERENCE = 0.01**2 * np.eye(3)
+"""Covariance of the reference poses of Jarvis, 1 cm squared: 4 mm are the system's own, the rest is how it was put into
+the map's frame. It is added to each filter's covariance: no filter is blamed for what the reference does not know."""
 LOST = 0.5
 """A filter whose last estimate is off by more than this [m] has lost the robot."""
 
@@ -93,26 +93,23 @@ def fit_judge(other: RobotLog, judged: RobotLog) -> Judge:
 
 
 def log_density_of_truth(mean, covariance, truth):
-    """Log density of the reference positions under Gaussians with a filter's means and covariances [nat], (T,)."""
-    covariance = with_reference(covariance)
+    """Log density of the reference positions under Gaussians with these means and covariances [nat], (T,)."""
     block = covariance[:, :2, :2]
     return -0.5 * nees(mean, covariance, truth) - 0.5 * np.log(np.linalg.det(block)) - np.log(2.0 * np.pi)
 
 
-def with_reference(covariance):
-    """Add the error of the reference to covariances of poses."""
-    return covariance + REFERENCE**2 * np.eye(3)
+def errors(mean, covariance, truth, lost: float = LOST) -> dict[str, float]:
+    """Errors of a track, the share of rows whose true position is in the 95 % ellipse, and whether it is lost.
 
-
-def errors(mean, covariance, truth) -> dict[str, float]:
-    """Errors of a track, the share of rows whose true position is in the 95 % ellipse, and whether it is lost."""
+    `covariance` is the filter's and the reference's together.
+    """
     off = np.hypot(*(mean - truth)[:, :2].T)
     return {
         "position_rmse": float(np.sqrt(np.nanmean(off**2))),
         "position_worst": float(np.nanmax(off)),
         "heading_rmse": float(np.sqrt(np.nanmean(wrap(mean[:, 2] - truth[:, 2]) ** 2))),
-        "coverage_95": float(np.mean(nees(mean, with_reference(covariance), truth) <= ELLIPSE)),
-        "lost": int(off[-1] > LOST),
+        "coverage_95": float(np.mean(nees(mean, covariance, truth) <= ELLIPSE)),
+        "lost": int(off[-1] > lost),
     }
 
 

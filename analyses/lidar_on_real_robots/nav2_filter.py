@@ -17,7 +17,7 @@ Left out:
 
 - distances from cell to cell: those here are exact, nav2's can be off by a fraction of a cell;
 - clusters: the estimate is the weighted mean of all particles, before resampling. nav2 publishes the mean of the
-  heaviest cluster after it; for a robot that is tracked there is one cluster, and the difference is the noise of resampling;
+  heaviest cluster after it; a robot that is tracked has one cluster, and the difference is the noise of resampling;
 - random particles (recovery_alpha_slow, recovery_alpha_fast) and beam skipping: off by default.
 """
 
@@ -37,6 +37,10 @@ LEAST, MOST = 500, 2000
 
 CUBES, PRODUCT = 0, 1
 """Ways to combine the beams of a scan: 1 + sum of cubes (likelihood_field, beam), product (likelihood_field_prob)."""
+
+
+MAX_DIST = 2.0
+"""laser_likelihood_max_dist [m]: how far a reading that ends off the map counts as being from any wall."""
 
 
 class GridOfNav2(NamedTuple):
@@ -103,13 +107,15 @@ class Run(NamedTuple):
     predicted: np.ndarray
 
 
-def grid_of_nav2(grid, max_dist: float = 2.0) -> GridOfNav2:
-    """Take a map; nav2 knows no turned ones."""
+def grid_of_nav2(grid, *, centred: bool = False) -> GridOfNav2:
+    """Take a map; nav2 knows no turned ones. With `centred`, points are looked up in the cell that they lie in."""
     assert grid.origin[2] == 0.0
-    distance = np.ascontiguousarray(np.minimum(grid.distance_field, max_dist))
+    distance = np.ascontiguousarray(np.minimum(grid.distance_field, MAX_DIST))
     free = np.pad(grid.cells == grid.FREE, 1)
     steps = ndimage.distance_transform_cdt(free, "chessboard")[1:-1, 1:-1]
-    return GridOfNav2(distance, np.ascontiguousarray(steps, dtype=np.int32), grid.resolution, grid.origin[0], grid.origin[1])
+    shift = 0.5 * grid.resolution if centred else 0.0
+    x0, y0 = grid.origin[0] + shift, grid.origin[1] + shift
+    return GridOfNav2(distance, np.ascontiguousarray(steps, dtype=np.int32), grid.resolution, x0, y0)
 
 
 def scan_of(ranges, angles, pose, max_range: float, settings: Settings) -> Scan:
@@ -133,8 +139,8 @@ def cell_of(at, corner, resolution, size):
 def range_on_map(grid, x, y, cosine, sine, max_range):
     """map_calc_range of nav2: Bresenham's line up to a cell that is not free, or to the edge.
 
-    After k steps along the longer axis the line is floor((2 k dy + dx) / (2 dx)) across. So it need not be followed cell
-    by cell: as many steps are taken at once as no such cell can be nearer.
+    After k steps along the longer axis the line is floor((2 k dy + dx) / (2 dx)) across. So it need not be followed
+    cell by cell: as many steps are taken at once as no such cell can be nearer.
     """
     rows, columns = grid.distance.shape
     x0, y0 = cell_of(x, grid.x0, grid.resolution, columns), cell_of(y, grid.y0, grid.resolution, rows)
@@ -159,56 +165,84 @@ def range_on_map(grid, x, y, cosine, sine, max_range):
     return max_range
 
 
+_fields: dict = {}
+
+
+def cell_densities(grid: GridOfNav2, settings: Settings, reach: float) -> np.ndarray:
+    """Return what a beam that ends in each cell counts, cubed or as a logarithm; the last row is for beams off the map.
+
+    Kept for the next scans of the same laser.
+    """
+    key = (id(grid.distance), settings, reach)
+    if key not in _fields:
+        if len(_fields) >= 4:
+            _fields.pop(next(iter(_fields)))
+        off_map = np.full((1, grid.distance.shape[1]), MAX_DIST)
+        distance = np.vstack([grid.distance, off_map])
+        p = settings.hit_height * np.exp(-(distance**2) / (2.0 * settings.sigma_hit**2)) + settings.z_rand / reach
+        # The grid is kept with it, so that no other one gets its number.
+        _fields[key] = (np.log(p) if settings.rule == PRODUCT else p**3, grid)
+    return _fields[key][0]
+
+
 @numba.njit(cache=True, nogil=True)
-def log_weights(
-    grid, scan, particles, beam, rule, exponent, sigma, height, z_short, z_max, z_rand, rate, out_of_map, result
-):
-    """Write the log of what nav2 multiplies each particle's weight by into `result`."""
+def add_end_points(grid, density, scan, particles, result):
+    """Add the density of the cell in which each beam ends to `result`, particle by particle."""
     rows, columns = grid.distance.shape
-    twice = 2.0 * sigma * sigma
-    uniform = z_rand / scan.max_range
+    x0, y0 = grid.x0 + (columns // 2) * grid.resolution, grid.y0 + (rows // 2) * grid.resolution
+    ahead, aside = np.cos(scan.bearings), np.sin(scan.bearings)
+    for i in range(particles.shape[0]):
+        x, y, heading = particles[i]
+        c, s = math.cos(heading), math.sin(heading)
+        x, y = x + c * scan.x - s * scan.y - x0, y + s * scan.x + c * scan.y - y0
+        total = 0.0
+        for k in range(scan.ranges.size):
+            z = scan.ranges[k]
+            # Written so that what was not measured does not count either.
+            if z < scan.max_range:
+                # MAP_GXWX of nav2: its origin is in the middle of the map, and half a cell is added.
+                column = math.floor((x + z * (c * ahead[k] - s * aside[k])) / grid.resolution + 0.5) + columns // 2
+                row = math.floor((y + z * (s * ahead[k] + c * aside[k])) / grid.resolution + 0.5) + rows // 2
+                inside = row >= 0 and column >= 0 and row < rows and column < columns
+                total += density[row, column] if inside else density[rows, 0]
+        result[i] += total
+
+
+@numba.njit(cache=True, nogil=True)
+def add_cubes_of_beams(grid, scan, particles, sigma, height, z_short, z_max, z_rand, rate, result):
+    """Add the cubes of nav2's beam model to `result`, particle by particle."""
     ahead, aside = np.cos(scan.bearings), np.sin(scan.bearings)
     for i in range(particles.shape[0]):
         x, y, heading = particles[i]
         c, s = math.cos(heading), math.sin(heading)
         x, y = x + c * scan.x - s * scan.y, y + s * scan.x + c * scan.y
-        cubes, product = 1.0, 0.0
         for k in range(scan.ranges.size):
             z = scan.ranges[k]
             if math.isnan(z):
                 continue
             cosine, sine = c * ahead[k] - s * aside[k], s * ahead[k] + c * aside[k]
-            if beam:
-                d = z - range_on_map(grid, x, y, cosine, sine, scan.max_range)
-                p = height * math.exp(-d * d / twice)
-                if d < 0.0:
-                    p += z_short * rate * math.exp(-rate * z)
-                if z == scan.max_range:
-                    p += z_max
-                if z < scan.max_range:
-                    p += uniform
-            else:
-                if z >= scan.max_range:
-                    continue
-                column = cell_of(x + z * cosine, grid.x0, grid.resolution, columns)
-                row = cell_of(y + z * sine, grid.y0, grid.resolution, rows)
-                inside = row >= 0 and column >= 0 and row < rows and column < columns
-                d = grid.distance[row, column] if inside else out_of_map
-                p = height * math.exp(-d * d / twice) + uniform
-            cubes += p * p * p
-            if rule == PRODUCT:
-                product += math.log(p)
-        result[i] = exponent * product if rule == PRODUCT else math.log(cubes)
+            d = z - range_on_map(grid, x, y, cosine, sine, scan.max_range)
+            p = height * math.exp(-d * d / (2.0 * sigma * sigma))
+            if d < 0.0:
+                p += z_short * rate * math.exp(-rate * z)
+            if z == scan.max_range:
+                p += z_max
+            if z < scan.max_range:
+                p += z_rand / scan.max_range
+            result[i] += p * p * p
 
 
-def weigh(grid: GridOfNav2, scan: Scan, particles, settings: Settings, max_dist: float = 2.0) -> np.ndarray:
+def weigh(grid: GridOfNav2, scan: Scan, particles, settings: Settings) -> np.ndarray:
     """Return the log of what each particle's weight is multiplied by, shape (n,)."""
-    result = np.empty(len(particles))
-    log_weights(
-        grid, scan, particles, settings.beam, settings.rule, settings.exponent, settings.sigma_hit, settings.hit_height,
-        settings.z_short, settings.z_max, settings.z_rand, settings.lambda_short, max_dist, result,
-    )  # fmt: skip
-    return result
+    result = np.zeros(len(particles))
+    if settings.beam:
+        add_cubes_of_beams(
+            grid, scan, particles, settings.sigma_hit, settings.hit_height, settings.z_short, settings.z_max,
+            settings.z_rand, settings.lambda_short, result,
+        )  # fmt: skip
+    else:
+        add_end_points(grid, cell_densities(grid, settings, scan.max_range), scan, particles, result)
+    return settings.exponent * result if settings.rule == PRODUCT else np.log1p(result)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -281,7 +315,9 @@ def moments(particles, weights):
     return mean, (off * weights[:, None]).T @ off
 
 
-def run_filter(log, grid: GridOfNav2, settings: Settings, seed, *, start_mean, start_std, particles=(LEAST, MOST)) -> Run:
+def run_filter(
+    log, grid: GridOfNav2, settings: Settings, seed, *, start_mean, start_std, particles=(LEAST, MOST)
+) -> Run:
     """Localize a log whose scans are whole, as nav2 does.
 
     Parameters
