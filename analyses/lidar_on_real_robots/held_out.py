@@ -18,7 +18,7 @@ from pmcl.models.sensors.lidar.sensor import Lidar
 from pmcl.posterior.access import parameter_names, theta_draws
 from pmcl.posterior.diagnostics import summarize
 
-CALIBRATION = ("log", "exponent", "parameter", "mean", "sd", "low", "median", "high", "r_hat", "beams")
+CALIBRATION = ("log", "kind", "parameter", "exponent", "mean", "sd", "low", "median", "high", "r_hat")
 RESULT = ("laser", "judged", "map", "settings", "seed", "position_rmse", "position_worst", "heading_rmse",
           "coverage_95", "lost", "readings", "scan", "truth", "radius", "particles", "ignored")  # fmt: skip
 ROWS = ("laser", "judged", "map", "settings", "time", "error", "sd")
@@ -27,28 +27,29 @@ HAND = Settings(alphas=(0.1,) * 4, sigma_hit=0.1, z_hit=0.5, z_rand=0.4, rule=CU
 MARGIN = 2.0
 
 
-def model_of(log, exponent: float | None) -> RobotModel:
-    """Return the default model, tempered otherwise if asked for."""
-    usual = default_model(log)
-    return usual if exponent is None else RobotModel(usual.motion, (Lidar(exponent=exponent),))
+SENSORS = {"tempered": Lidar(), "untempered": Lidar(exponent=1.0), "beam": Lidar(model="beam")}
+"""The default model, the same with beams taken as independent, and the beam model (tempered)."""
 
 
-def calibrated(name: str, log, exponent: float | None, folder: Path, draws: int, chains: int) -> str:
+def calibrated(name: str, log, kind: str, folder: Path, draws: int, chains: int) -> str:
     """Return the exported file of a calibration, which is made if it is not there; all in `folder`."""
-    kind = "tempered" if exponent is None else "untempered"
-    path = folder / f"nav2_{name}_{kind}.yaml"
+    path = folder / "exported" / f"{name}_{kind}.yaml"
+    path.parent.mkdir(exist_ok=True)
     if path.exists():
         return path.read_text()
-    data = pmcl.calibrate(log, model_of(log, exponent), draws=draws, chains=chains)
+    sensor = SENSORS[kind]
+    model = RobotModel(default_model(log).motion, (sensor,))
+    data = pmcl.calibrate(log, model, draws=draws, chains=chains)
     table = Table(folder / "calibrations.csv", CALIBRATION, 3)
     summary = summarize(data)
     values = theta_draws(data).reshape(-1, len(parameter_names(data)))
-    beams = Lidar().usual_settings(log)["exponent"]
+    usual = sensor.usual_settings(log)
+    exponent = sensor.exponent or float(usual["exponent"])
     for k, parameter in enumerate(parameter_names(data)):
         low, median, high = np.quantile(values[:, k], (0.05, 0.5, 0.95))
         numbers = (values[:, k].mean(), values[:, k].std(ddof=1), low, median, high)
         r_hat = float(summary["r_hat"].sel(parameter=parameter))
-        table.add(name, beams if exponent is None else exponent, parameter, *numbers, r_hat, 60)
+        table.add(name, kind, parameter, exponent, *numbers, r_hat)
     text = export_text(data, "nav2")
     path.write_text(text)
     print(text, flush=True)
@@ -58,44 +59,47 @@ def calibrated(name: str, log, exponent: float | None, folder: Path, draws: int,
 def settings_of(text: str) -> Settings:
     """Read an exported file as nav2 would."""
     found = yaml.safe_load(text)["amcl"]["ros__parameters"]
-    assert found["laser_model_type"] == "likelihood_field_prob"
+    beam = found["laser_model_type"] == "beam"
+    assert beam or found["laser_model_type"] == "likelihood_field_prob"
+    names = ("sigma_hit", "z_hit", "z_rand", "laser_max_range", "max_beams")
+    names += ("z_short", "z_max", "lambda_short") if beam else ()
     return Settings(
-        alphas=tuple(found[f"alpha{k}"] for k in (1, 2, 3, 4)), sigma_hit=found["sigma_hit"], z_hit=found["z_hit"],
-        z_rand=found["z_rand"], rule=PRODUCT, laser_max_range=found["laser_max_range"], max_beams=found["max_beams"],
+        alphas=tuple(found[f"alpha{k}"] for k in (1, 2, 3, 4)), rule=CUBES if beam else PRODUCT, beam=beam,
+        **{name: found[name] for name in names},
     )  # fmt: skip
 
 
-def contestants(tempered: Settings, untempered: Settings | None) -> dict[str, Settings]:
-    """Return all settings that are compared, by their names in the results; the last three say what makes the gap."""
-    settings = {"defaults": DEFAULTS, "hand": HAND, "export": tempered}
-    if untempered is not None:
-        settings |= {
-            "untempered export": untempered,
-            "defaults, exported alphas": DEFAULTS._replace(alphas=tempered.alphas),
-            "defaults, exported laser": tempered._replace(alphas=DEFAULTS.alphas),
-            "defaults, product": DEFAULTS._replace(rule=PRODUCT),
-        }
-    return settings
+def contestants(found: dict[str, Settings]) -> dict[str, Settings]:
+    """Return all settings that are compared, by their names in the results; those after the export tell why."""
+    tempered = found["tempered"]
+    settings = {
+        "defaults": DEFAULTS,
+        "hand": HAND,
+        "export": tempered,
+        "defaults, product": DEFAULTS._replace(rule=PRODUCT),
+        "defaults, exported alphas": DEFAULTS._replace(alphas=tempered.alphas),
+        "defaults, exported laser": tempered._replace(alphas=DEFAULTS.alphas),
+    }
+    return settings | {f"{kind} export": found[kind] for kind in found if kind != "tempered"}
 
 
-def run(folder: Path, lasers, untempered_lasers, directions, seeds: int, draws: int, chains: int) -> None:
-    """Calibrate what is not calibrated and localize what is not localized."""
+def run(folder: Path, kinds, directions, seeds: int, draws: int, chains: int) -> None:
+    """Calibrate what is not calibrated and localize what is not localized; `kinds` for each laser."""
     table = Table(folder / "held_out.csv", RESULT, 5)
-    rows = Table(folder / "held_out_rows.csv", ROWS, 4)
+    rows = Table(folder / "held_out_rows.csv", ROWS, 5)
     maps = {"as it is": jarvis_map(), "with margin": jarvis_map().with_margin(MARGIN)}
     maps = {name: grid_of_nav2(grid) for name, grid in maps.items()}
-    for laser in lasers:
+    for laser, of_laser in kinds.items():
         for train, judged in directions:
             name = f"jarvis_{laser}_{train}"
             log = jarvis(laser, train)
-            # The README's commands, with as many chains; two tell the rest.
-            number = chains if laser == "navigation" else 2
-            tempered = settings_of(calibrated(name, log, None, folder, draws, number))
-            untempered = None
-            if laser in untempered_lasers:
-                untempered = settings_of(calibrated(name, log, 1.0, folder, draws, 2))
+            found = {}
+            for kind in of_laser:
+                # The README's commands have the usual number of chains; two are enough for the rest.
+                number = chains if (laser, kind) == ("navigation", "tempered") else 2
+                found[kind] = settings_of(calibrated(name, log, kind, folder, draws, number))
             judge = fit_judge(log, jarvis(laser, judged))
-            compare(laser, judged, contestants(tempered, untempered), maps, seeds, (table, rows), judge)
+            compare(laser, judged, contestants(found), maps, seeds, (table, rows), judge)
 
 
 def compare(laser, judged, settings, maps, seeds, tables, judge) -> None:
@@ -104,7 +108,7 @@ def compare(laser, judged, settings, maps, seeds, tables, judge) -> None:
     truth = log.true_poses
     for which, grid in maps.items():
         for name, chosen in settings.items():
-            if rows.knows(laser, judged, which, name):
+            if rows.knows(laser, judged, which, name, f"{log.times[-1]:.6g}"):
                 continue
             off = []
             for seed in range(seeds):

@@ -19,7 +19,9 @@ DIRECTIONS = (("first", "second"), ("second", "first"))
 
 FULL = {
     "held_out": {
-        "lasers": ("navigation", "security", "both"), "untempered_lasers": ("navigation", "security"),
+        "kinds": {
+            "navigation": ("tempered", "untempered"), "security": ("tempered", "beam"), "both": ("tempered",),
+        },
         "directions": DIRECTIONS, "seeds": 24, "draws": 1000, "chains": 4,
     },
     "combining": {
@@ -33,8 +35,8 @@ FULL = {
 }  # fmt: skip
 SMALL = {
     "held_out": {
-        "lasers": ("navigation",), "untempered_lasers": (), "directions": (("first", "second"),), "seeds": 4,
-        "draws": 150, "chains": 2,
+        "kinds": {"navigation": ("tempered",)}, "directions": (("first", "second"),), "seeds": 4, "draws": 150,
+        "chains": 2,
     },
     "combining": {
         "groups": (("right map", 1), ("wrong map", 1)), "worths": (2.0,), "seeds": 6, "draws": 150, "chains": 2,

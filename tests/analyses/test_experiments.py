@@ -200,7 +200,7 @@ def test_exported_parameters_localize_better_than_defaults_on_the_other_part_of_
     # Walls at the edge of the map's image cost more than parameters gain; rays of the beam model do not go there.
     assert mean["as it is", "export", "position_rmse"] > 1.5 * mean["with margin", "export", "position_rmse"]
     assert mean["as it is", "hand", "position_rmse"] == mean["with margin", "hand", "position_rmse"]
-    assert "likelihood_field_prob" in (folder / "nav2_jarvis_navigation_first_tempered.yaml").read_text()
+    assert "likelihood_field_prob" in (folder / "exported" / "jarvis_navigation_first_tempered.yaml").read_text()
 
 
 @pytest.mark.slow
