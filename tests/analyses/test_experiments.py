@@ -180,3 +180,45 @@ def test_a_hidden_effect_goes_through_the_whole_benchmark(tmp_path):
     assert abs(float(row["mean"]) - float(row["truth"])) < 5.0 * float(row["sd"])
     run("make", tmp_path / "again", *block)
     assert not list((tmp_path / "again").glob("log-*.nc"))
+
+
+@pytest.mark.slow
+def test_exported_parameters_localize_better_than_defaults_on_the_other_part_of_a_drive(small, shared_data):
+    folder = small("lidar_on_real_robots", "held_out")
+    rows = read(folder / "held_out.csv")
+    mean = {
+        (which, settings, name): np.mean([
+            float(row[name]) for row in rows if (row["map"], row["settings"]) == (which, settings)
+        ])
+        for which in ("as it is", "with margin") for settings in ("defaults", "hand", "export")
+        for name in ("position_rmse", "readings", "truth")
+    }  # fmt: skip
+    for other in "defaults", "hand":
+        assert mean["with margin", "export", "position_rmse"] < 0.8 * mean["with margin", other, "position_rmse"]
+        assert mean["with margin", "export", "readings"] > mean["with margin", other, "readings"] + 20.0
+        assert mean["with margin", "export", "truth"] > mean["with margin", other, "truth"]
+    # Walls at the edge of the map's image cost more than parameters gain; rays of the beam model do not go there.
+    assert mean["as it is", "export", "position_rmse"] > 1.5 * mean["with margin", "export", "position_rmse"]
+    assert mean["as it is", "hand", "position_rmse"] == mean["with margin", "hand", "position_rmse"]
+    assert "likelihood_field_prob" in (folder / "exported" / "jarvis_navigation_first_tempered.yaml").read_text()
+
+
+@pytest.mark.slow
+def test_products_suit_independent_beams_and_are_too_sure_where_the_map_is_wrong(small):
+    rows = read(small("lidar_on_real_robots", "combining") / "combining.csv")
+    mean = {}
+    for name in "position_rmse", "coverage_95", "lost":
+        for row in rows:
+            key = row["log"].split(",")[1].strip(), row["numbers"], row["rule"], float(row["worth"]), name
+            mean.setdefault(key, []).append(float(row[name]))
+    mean = {key: np.mean(values) for key, values in mean.items()}
+    assert all(value == 0.0 for key, value in mean.items() if key[4] == "lost")
+    product, tempered, cubes = (
+        ("calibrated", "product", 60.0), ("calibrated", "product", 2.0), ("defaults", "cubes", 60.0),
+    )  # fmt: skip
+    right, wrong = ("right map",), ("wrong map",)
+    assert mean[right + product + ("position_rmse",)] < 0.7 * mean[right + tempered + ("position_rmse",)]
+    assert mean[wrong + product + ("coverage_95",)] < 0.3 < 0.6 < mean[wrong + tempered + ("coverage_95",)]
+    # Nearly all of nav2's default belief is width.
+    assert mean[wrong + cubes + ("coverage_95",)] > 0.99
+    assert mean[right + cubes + ("position_rmse",)] > 2.0 * mean[right + product + ("position_rmse",)]
