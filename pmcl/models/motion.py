@@ -30,10 +30,13 @@ class Motion(ABC):
         What it is, in a few words, for the comments of model files.
     moves_sideways : bool
         Whether it is of robots that can move across their heading.
+    aside_by_turning : bool
+        Whether a command to go aside stands for a turn, a drive and a turn back, so that it is no small command.
     """
 
     summary: ClassVar[str] = ""
     moves_sideways: ClassVar[bool] = False
+    aside_by_turning: ClassVar[bool] = False
 
     @property
     @abstractmethod

@@ -244,6 +244,25 @@ class Sensor(SensorVariables, ABC):
         )
 
     @classmethod
+    def replicate(cls, table: Any, path: Float, rng: np.random.Generator) -> Any:
+        """Return the table with readings drawn from it along a path, to compare recorded ones with.
+
+        It differs from :meth:`simulate` where the model knows that the readings of a row share their errors, and does
+        not say how: their densities are then tempered (:func:`pmcl.engine.contract.reading_exponent`).
+
+        Parameters
+        ----------
+        table, path, rng
+            As for :meth:`simulate`.
+
+        Returns
+        -------
+        NamedTuple
+            By default what :meth:`simulate` returns.
+        """
+        return cls.simulate(table, path, rng)
+
+    @classmethod
     def store(cls, table: Any, dataset: xr.Dataset) -> None:
         """Write the readings of a table into a log's dataset, in place.
 

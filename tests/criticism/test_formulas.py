@@ -19,6 +19,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import path_formulas
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_file import model_of_text, model_text
+from pmcl.models.motions.odometry.motion import Differential
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.simulations.amigobot import simulate_amigobot
@@ -51,6 +52,16 @@ def test_a_formula_is_no_reason_to_drop_a_known_effect_that_gains_much_at_a_glan
     little = _trial(effect_named("odometry-arc", log), 10.0)
     assert contenders([known, little], [rule]) == [known]
     assert contenders([little], [rule]) == []
+
+
+def test_motion_by_alphas_has_formulas_of_its_means_only():
+    log = simulate_amigobot(120.0, 3, NOISE)
+    bound = RobotModel(motion=Differential(), sensors=default_model(log).sensors).bind(log)
+    theta = np.array([float(p.prior.mean()) for p in bound.parameters])
+    path = np.array(log.true_poses)
+    found = {formula.name.removeprefix("formula: ") for formula in formulas(log, bound.tables(theta)[0], path)}
+    assert {"translation *= 1 + c*speed", "turn += c*cos(heading)", "range += c*distance^2"} <= found
+    assert not any(name.startswith(("log sigma_forward", "log sigma_turn")) for name in found)
 
 
 def test_formulas_do_what_they_say(library):

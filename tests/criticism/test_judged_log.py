@@ -35,8 +35,8 @@ def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, fi
 
     monkeypatch.setattr(judged_log, "_judged", judged)
     monkeypatch.setattr(judged_log, "score_log", score_log)
-    monkeypatch.setattr(judged_log, "replicated_log", lambda log, tables, path, rng: log)
-    bound = SimpleNamespace(model=SimpleNamespace(bind=lambda log: bound))
+    monkeypatch.setattr(judged_log, "replicated_log", lambda log, tables, path, rng, by_turning: log)
+    bound = SimpleNamespace(model=SimpleNamespace(bind=lambda log: bound, motion=None))
     fit = SimpleNamespace(bound=bound, theta=np.zeros(4), tables=None, path=None)
     last = judged_log.judge_log("log", fit, (), 10, SETTINGS)
     if judged_log.in_doubt(last.judgement):

@@ -16,8 +16,9 @@ from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
+from pmcl.models.motions.odometry.motion import Differential
 from pmcl.models.parameters import Parameter
-from pmcl.models.robot_model import default_model
+from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.range_beams import scoring
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
@@ -175,3 +176,18 @@ def test_an_effect_of_one_landmark_costs_its_sightings_unless_others_may_be_mean
     counted.clear()
     effect_scores(known["landmark-misread"].edit(tables, [0.1], log), log, columns, directions_of([moved]))
     assert set(counted) == {everything}
+
+
+def test_small_parameters_of_wide_priors_have_scores():
+    """An alpha far below the width of its prior is moved by less than itself, so that every density stays finite."""
+    log = simulate_landmark_field(60, 5, bearings=True, reach=12.0)
+    bound = RobotModel(motion=Differential(), sensors=default_model(log).sensors).bind(log)
+    values = {"alpha1": 0.01, "alpha2": 1e-5, "alpha3": 1e-4, "alpha4": 1e-3}
+    theta = np.array([values.get(p.name, float(p.prior.mean())) for p in bound.parameters])
+    rng = make_rng(1)
+    tables = bound.tables(theta)[0]
+    paths = draw_paths(tables, run_filter(tables, 60, 2000, rng), 5, rng)
+    scores = parameter_scores(bound, theta, np.ascontiguousarray(paths.transpose(0, 2, 1)))
+    # Densities without meaning differ by the greatest change that counts, or are left out.
+    assert np.abs(scores).max() < 5.0
+    assert (np.abs(scores[:4]).sum(axis=1) > 0.0).all()

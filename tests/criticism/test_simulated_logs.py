@@ -13,7 +13,8 @@ from pmcl.filtering.kernels.steering import steered_path
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motions.increments.motion import increment_residuals
-from pmcl.models.robot_model import default_model
+from pmcl.models.motions.odometry.motion import Differential
+from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.range_beams.along_path import incidence
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
@@ -89,7 +90,7 @@ def test_noise_of_a_step_is_the_models_and_independent_of_its_command(log):
     noise, correction = [], []
     for seed in range(20):
         motion = tables.motion._replace(mean=tables.motion.mean.copy())
-        path, change = steered_path(motion, make_rng(seed), reference[0], reference, 0.15)
+        path, change = steered_path(motion, make_rng(seed), reference[0], reference, 0.15, 0.0)
         noise.append(increment_residuals(motion.mean, path) / theta[:3])
         correction.append(change[1:])
         assert np.abs(path[:, :2] - reference[:, :2]).max() < 12.0 * theta[:2].max()
@@ -97,6 +98,28 @@ def test_noise_of_a_step_is_the_models_and_independent_of_its_command(log):
     for k in range(3):
         assert stats.kstest(flat[:, k], "norm").pvalue > 1e-4
         assert abs(np.corrcoef(flat[:, k], pull[:, k])[0, 1]) < 5.0 / np.sqrt(len(flat))
+
+
+def test_a_robot_that_cannot_be_led_aside_is_led_back_by_turns():
+    """Motion by alphas: no command aside, the noise of steps is the model's, and the robot stays near its path."""
+    log = simulate_landmark_field(200, 5, bearings=True, reach=12.0)
+    model = RobotModel(motion=Differential(), sensors=default_model(log).sensors)
+    bound = model.bind(log)
+    values = {"alpha1": 0.01, "alpha2": 0.001, "alpha3": 0.01, "alpha4": 0.001}
+    theta = np.array([values.get(p.name, float(p.prior.mean())) for p in bound.parameters])
+    tables, reference = bound.tables(theta)[0], _reference(log)
+    made = replicated_log(log, tables, reference, make_rng(3), by_turning=True)
+    correction = made.odometry - log.odometry
+    np.testing.assert_array_equal(correction[:, 1], 0.0)
+    assert (correction[1:, [0, 2]] != 0.0).all()
+    errors, free = [], []
+    for seed in range(20):
+        for pull, found in ((0.15, errors), (0.0, free)):
+            motion = tables.motion._replace(mean=tables.motion.mean.copy())
+            swerve = simulated_logs._swerve(motion.mean) if pull else 0.0
+            path, _ = steered_path(motion, make_rng(seed), reference[0], reference, pull, swerve)
+            found.append(np.hypot(*(path[-50:, :2] - reference[-50:, :2]).T).max())
+    assert np.median(errors) < 0.3 * np.median(free)
 
 
 def test_incidence_is_the_angle_to_the_walls_normal():

@@ -16,6 +16,13 @@ def random_grid(rng, rows=30, columns=40, share=0.05):
     return cells
 
 
+def box(rows, columns):
+    """Return cells (rows, columns) of which the outermost are occupied."""
+    cells = np.ones((rows, columns), dtype=np.uint8)
+    cells[1:-1, 1:-1] = 0
+    return cells
+
+
 def to_map(grid, x, y):
     """Return the point of the map frame at column x and row y of a grid."""
     x0, y0, yaw = grid.origin

@@ -25,6 +25,8 @@ WORTH_A_FORMULA = _WITHOUT_EFFECT
 """No formula is sought for weaker alarms: they count only if a known effect confirms them."""
 # A parameter of the base model is mentioned when it changes by at least this many of its standard deviations.
 _CHANGED = 2.0
+# More beams or landmarks than this are counted instead of listed in the sentence.
+_MOST_LISTED = 8
 
 
 def with_place(effect: Effect | FoundEffect) -> str:
@@ -123,7 +125,9 @@ def sentence_of(
         worst = unexplained[0]
         kind = "landmark" if worst.channel.startswith("landmark") else "beam"
         where = worst.channel if worst.channel in log.dataset else f"the score of {worst.channel}"
-        if worst.beams:
+        if len(worst.beams) > _MOST_LISTED:
+            where += f" of {len(worst.beams)} {kind}s"
+        elif worst.beams:
             where += f" of {kind}{'s' if len(worst.beams) > 1 else ''} {channels_of(worst, log)}"
         depends = f", depending on {worst.covariate}" if worst.covariate else ""
         subject = "something more is" if found else "something is"

@@ -122,7 +122,9 @@ def _simulated(
 
     def simulate_and_score(k: int) -> ScoredLog:
         rng = make_rng(np.random.SeedSequence((settings.seed, 2, numbers[k])))
-        bound = fit.bound.model.bind(replicated_log(log, fit.tables, fit.path, rng))
+        model = fit.bound.model
+        by_turning = bool(getattr(model.motion, "aside_by_turning", False))
+        bound = model.bind(replicated_log(log, fit.tables, fit.path, rng, by_turning=by_turning))
         seed = np.random.SeedSequence((settings.seed, 3, numbers[k]))
         try:
             return score_log(

@@ -68,7 +68,7 @@ def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = Tru
     log : RobotLog
         The log.
     tables : Tables
-        Coefficient tables of the fitted model; there are no formulas unless its motion is by increments of a pose.
+        Coefficient tables of the fitted model; there are no formulas unless its motion has the increments of a pose.
     path : ndarray, shape (T, D)
         The fitted path, from which features of place and heading are computed.
     of_noise : bool
@@ -77,7 +77,9 @@ def formulas(log: RobotLog, tables: Tables, path: Float, *, of_noise: bool = Tru
     if not _can_change("translation", tables) or path.shape[1] < 3:
         return ()
     rows = _row_features(log, path)
-    carriers = _OF_MOTION + _OF_MOTION_NOISE if of_noise else _OF_MOTION
+    # Motion by odometry has means like any other, but no noise of its own: that follows from its alphas.
+    noise = [carrier for carrier in _OF_MOTION_NOISE if of_noise and _can_change(carrier, tables)]
+    carriers = (*_OF_MOTION, *noise)
     effects = [_formula(carrier, feature) for carrier in carriers for feature in rows]
     effects += [_formula(carrier, feature) for carrier in _OF_MOTION for feature in _cell_features(path)]
     if _can_change(_RANGE, tables):

@@ -6,6 +6,7 @@ the fitted model simulates (:mod:`pmcl.criticism.judging.alarms`), never from as
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,11 @@ class _Numbers:
 
 
 def residual_features(
-    predictions: Predictions, pit: Float, reading_covariates: dict[str, Float], row_covariates: RowCovariates
+    predictions: Predictions,
+    pit: Float,
+    reading_covariates: dict[str, Float],
+    row_covariates: RowCovariates,
+    tempered: Collection[int] = (),
 ) -> tuple[list[Feature], Float]:
     """Return the families that test PITs: uniformity, serial correlation, dependence on covariates.
 
@@ -97,6 +102,9 @@ def residual_features(
         Covariates of the readings.
     row_covariates : RowCovariates
         Covariates of the rows, (T,).
+    tempered : collection of int
+        Sensors whose readings of a row share errors in a way that the model leaves open: whether neighbouring channels
+        resemble each other is not tested.
 
     Returns
     -------
@@ -118,7 +126,7 @@ def residual_features(
         for moment, values in (("mean", xi), ("spread", spread)):
             residuals = _Residuals(kind, moment, values, channel, time)
             _add_uniformity(numbers, residuals)
-            _add_serial(numbers, residuals)
+            _add_serial(numbers, residuals, neighbours=int(predictions.sensor[selected][0]) not in tempered)
             for covariate, column in covariates.items():
                 _add_dependence(numbers, residuals, covariate, column[selected])
         for order in range(3, 3 + _PIT_COSINES):
@@ -137,8 +145,8 @@ def _add_uniformity(numbers: _Numbers, residuals: _Residuals) -> None:
         numbers.add(Feature("uniformity", residuals.kind, channel, "", residuals.moment), value)
 
 
-def _add_serial(numbers: _Numbers, residuals: _Residuals) -> None:
-    """Add the correlation of consecutive readings of a channel, and of neighbouring channels of a row."""
+def _add_serial(numbers: _Numbers, residuals: _Residuals, neighbours: bool) -> None:
+    """Add the correlation of consecutive readings of a channel, and of neighbouring channels if these count."""
     values, channel, time = residuals.values, residuals.channel, residuals.time
     order = np.lexsort((time, channel))
     pairs = (channel[order][1:] == channel[order][:-1]) & (np.diff(time[order]) <= _CONSECUTIVE_ROWS)
@@ -146,6 +154,8 @@ def _add_serial(numbers: _Numbers, residuals: _Residuals) -> None:
     numbers.add(
         Feature("serial", residuals.kind, -1, "time", residuals.moment), product.sum() / np.sqrt(max(product.size, 1))
     )
+    if not neighbours:
+        return
     order = np.lexsort((channel, time))
     pairs = time[order][1:] == time[order][:-1]
     product = (values[order][1:] * values[order][:-1])[pairs]

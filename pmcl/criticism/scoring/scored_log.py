@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.criticism.scoring.covariates import RowCovariates, reading_covariates, row_covariates
 from pmcl.criticism.scoring.features import Feature, fluctuation_features, residual_features
 from pmcl.criticism.scoring.scores import Direction, effect_scores, parameter_scores
+from pmcl.engine.contract import reading_exponent
 from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import draw_paths, make_rng
 from pmcl.models.robot_model import BoundModel
@@ -134,7 +135,8 @@ def score_log(
         tables, path, predictions.sensor, predictions.channel, predictions.time, predictions.kind
     )
     pit = predictions.pit(rng)
-    features, values = residual_features(predictions, pit, of_readings, of_rows)
+    tempered = [number for number, sensor in enumerate(tables.sensors) if reading_exponent(sensor) != 1.0]
+    features, values = residual_features(predictions, pit, of_readings, of_rows, tempered)
     no_scores = np.empty((0, bound.lengths[0]))
     without_candidates = ScoredLog(
         predictions, pit, path, of_rows, of_readings, parameter_scores(bound, theta, columns), no_scores, (),

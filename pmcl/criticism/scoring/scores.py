@@ -22,6 +22,7 @@ from pmcl.filtering.kernels import smc
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.motions.increments.table import WanderingExtras
+from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
@@ -39,6 +40,8 @@ Float = NDArray[np.float64]
 _PROBE_SIZE = 0.25
 # Size of an edit of the model's own parameters, as a share of each. Chosen by hand.
 _PARAMETER_SHARE = 0.02
+# It leads at most this share of the way to the end of the parameter's support. Chosen by hand.
+_OF_SUPPORT = 0.5
 # The change of one row of one trajectory is limited to this [nat]: beyond it a reading is impossible under one of the
 # two models, and a larger number holds no more information. Chosen by hand.
 _GREATEST_CHANGE = 50.0
@@ -198,7 +201,7 @@ def _on_the_same_states(edited: Tables, tables: Tables) -> Tables:
 
 
 def parameter_scores(bound: BoundModel, theta: Float, columns: Float) -> Float:
-    """Score the model's own parameters along trajectories, by differences of 2 % of each to either side.
+    """Score the model's own parameters along trajectories, by differences of some 2 % of each to either side.
 
     Parameters
     ----------
@@ -218,6 +221,9 @@ def parameter_scores(bound: BoundModel, theta: Float, columns: Float) -> Float:
     densities = _Densities(columns, bound.tables(theta)[0])
     spread = np.array([min(float(p.prior.std()), 1.0) for p in bound.parameters])
     step = _PARAMETER_SHARE * np.maximum(np.abs(theta), 0.1 * spread)
+    # A prior with a long tail says little of the size of a parameter: an alpha of 1e-4 under one that reaches 1.
+    bounds = np.array([prior_support(p.prior) for p in bound.parameters])
+    step = np.minimum(step, _OF_SUPPORT * np.minimum(theta - bounds[:, 0], bounds[:, 1] - theta))
     for k, score in enumerate(scores):
         shift = step[k] * (np.arange(theta.size) == k)
         densities.add_difference(bound.tables(theta + shift)[0], bound.tables(theta - shift)[0], score)

@@ -24,9 +24,13 @@ Float = NDArray[np.float64]
 # Share of the distance to the path that each step corrects. With it the robot stays within some 2 standard deviations
 # of a step's noise of the path, while its commands differ from those of the log by a third of one.
 _CORRECTED_SHARE = 0.15
+# A robot whose usual steps are shorter than this [m] turns on the spot, and is not led back from the side by turns.
+_SHORTEST_STEP = 1e-3
 
 
-def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.random.Generator) -> RobotLog:
+def replicated_log(
+    log: RobotLog, tables: Tables, reference: Float, rng: np.random.Generator, *, by_turning: bool = False
+) -> RobotLog:
     """Simulate a log again from a fitted model.
 
     Parameters
@@ -39,6 +43,8 @@ def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.rand
         The path along which the robot is steered, headings not wrapped [m, m, rad].
     rng : numpy.random.Generator
         A generator of the kind that kernels use, :func:`pmcl.filtering.particle_filter.make_rng`.
+    by_turning : bool
+        Whether the robot is led aside by turns only, see :attr:`pmcl.models.motion.Motion.aside_by_turning`.
 
     Returns
     -------
@@ -58,15 +64,26 @@ def replicated_log(log: RobotLog, tables: Tables, reference: Float, rng: np.rand
             f"{type(tables.motion).__name__}; criticism needs such a model"
         )
     motion = tables.motion._replace(mean=mean.copy())
+    swerve = _swerve(mean) if by_turning else 0.0
     path, correction = steered_path(
-        motion, rng, _start_state(tables, reference, rng), reference, _CORRECTED_SHARE
+        motion, rng, _start_state(tables, reference, rng), reference, _CORRECTED_SHARE, swerve
     )
     dataset = log.without_truth().dataset.copy(deep=True)
     dataset["odometry"].values[1:] += correction[1:]
     for table in tables.sensors:
         sensor = sensor_of(table)
-        sensor.store(sensor.simulate(table, path, rng), dataset)
+        sensor.store(sensor.replicate(table, path, rng), dataset)
     return RobotLog.trusted(dataset, f"{log.where} (simulated)", log.grid_map)
+
+
+def _swerve(mean: Float) -> float:
+    """Return the turn for each metre aside [rad/m] that leads a robot back soonest without swinging.
+
+    With the share p of the error of the heading that each step corrects, and steps of length d, the distance aside
+    obeys a linear recursion whose two decay rates are equal at p^2 / (4 d).
+    """
+    usual = float(np.sqrt(np.mean(mean[1:, 0] ** 2)))
+    return _CORRECTED_SHARE**2 / (4.0 * max(usual, _SHORTEST_STEP))
 
 
 def _start_state(tables: Tables, reference: Float, rng: np.random.Generator) -> Float:

@@ -13,7 +13,7 @@ __all__ = ["steered_path"]
 
 
 @entry
-def steered_path(motion, rng, first, reference, pull):
+def steered_path(motion, rng, first, reference, pull, swerve):
     """Draw a path whose commands follow the log's and, softly, a reference.
 
     The command of each step is ``motion.mean[t]`` plus `pull` times the way back to the reference, seen from where
@@ -31,6 +31,9 @@ def steered_path(motion, rng, first, reference, pull):
         Path to follow, heading not wrapped [m, m, rad].
     pull : float
         Share of the distance that each step makes good; 0 follows the commands alone.
+    swerve : float
+        0 where commands may lead aside. Otherwise the way back from one side leads through turns: by this much for each
+        metre aside [rad/m].
 
     Returns
     -------
@@ -50,8 +53,11 @@ def steered_path(motion, rng, first, reference, pull):
         c, s = math.cos(heading), math.sin(heading)
         dx, dy = reference[t - 1, 0] - path[t - 1, 0], reference[t - 1, 1] - path[t - 1, 1]
         correction[t, 0] = pull * (dx * c + dy * s)
-        correction[t, 1] = pull * (dy * c - dx * s)
-        correction[t, 2] = pull * (reference[t - 1, 2] - heading)
+        aside = dy * c - dx * s
+        correction[t, 1] = 0.0 if swerve != 0.0 else pull * aside
+        # A robot that reverses comes back to the left by turning to the right.
+        ahead = 1.0 if motion.mean[t, 0] >= 0.0 else -1.0
+        correction[t, 2] = pull * (reference[t - 1, 2] - heading) + swerve * ahead * aside
         for d in range(3):
             motion.mean[t, d] += correction[t, d]
         for d in range(size):

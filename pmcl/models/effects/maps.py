@@ -8,11 +8,11 @@ import numpy as np
 from scipy import stats
 
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.editing import edit_beams, edit_landmarks
+from pmcl.models.effects.editing import edit_beams, edit_landmarks, edit_ranges
 from pmcl.models.effects.effect import Effect, Where
 from pmcl.models.effects.landmarks import reads_landmarks
-from pmcl.models.effects.places import at_place, floor_places
-from pmcl.models.effects.ranges import reads_ranges
+from pmcl.models.effects.places import at_place, floor_places, has_floor
+from pmcl.models.effects.ranges import reads_ranges, reads_scans
 from pmcl.models.parameters import Parameter, gamma_prior
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
@@ -24,6 +24,11 @@ _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 8.5"
 
 def _sees_walls(log: RobotLog) -> bool:
     return reads_ranges(log) and log.walls is not None
+
+
+def _sees_floor(log: RobotLog) -> bool:
+    """Return whether beams or lidars would see what stands on a floor of known extent."""
+    return _sees_walls(log) or (log.grid_map is not None and reads_scans(log) and has_floor(log))
 
 
 def _each_wall(log: RobotLog) -> list[Where]:
@@ -63,7 +68,7 @@ def _landmark_moved(tables: Tables, values: Float, log: RobotLog, where: Where) 
 def _obstacle(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     weight, x, y, radius = values
     row = np.array([[x, y, radius, weight]])
-    return edit_beams(
+    return edit_ranges(
         tables, lambda beams: {"obstacles": np.concatenate([beams.obstacles, row])}, "unmapped-obstacle"
     )
 
@@ -132,7 +137,7 @@ MAP_EFFECTS = (
         shape=("unmapped_obstacle_x", "unmapped_obstacle_y", "unmapped_obstacle_radius"),
         near_twins={"short-readings": "come back: an obstacle is still there"},
         references=(_THRUN,),
-        needs=_sees_walls,
+        needs=_sees_floor,
         places=floor_places,
         fitted=at_place,
     ),

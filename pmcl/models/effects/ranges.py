@@ -14,7 +14,7 @@ from pmcl.models.parameters import Parameter
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
 
-__all__ = ["RANGE_EFFECTS", "each_beam", "reads_ranges", "reads_ranges_or_scans"]
+__all__ = ["RANGE_EFFECTS", "each_beam", "reads_ranges", "reads_ranges_or_scans", "reads_scans"]
 
 _THRUN = "Thrun, Burgard, Fox, Probabilistic Robotics, 2005, section 6.3"
 
@@ -24,9 +24,14 @@ def reads_ranges(log: RobotLog) -> bool:
     return log.ranges is not None and not bool(np.isnan(log.ranges).all())
 
 
+def reads_scans(log: RobotLog) -> bool:
+    """Return whether the log has lidars with readings."""
+    return any(not bool(np.isnan(laser.ranges).all()) for laser in log.lidars.values())
+
+
 def reads_ranges_or_scans(log: RobotLog) -> bool:
     """Return whether the log has readings of range beams or of lidars."""
-    return reads_ranges(log) or any(not bool(np.isnan(laser.ranges).all()) for laser in log.lidars.values())
+    return reads_ranges(log) or reads_scans(log)
 
 
 def each_beam(log: RobotLog) -> list[Where]:

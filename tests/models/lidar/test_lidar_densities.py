@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles import grid_maps
 from oracles.grid_maps import beam_density, beam_probability
-from scipy import integrate
+from scipy import integrate, stats
 
 from pmcl.engine import contract
 from pmcl.engine.residuals import theta_logpdf
@@ -16,6 +16,7 @@ from pmcl.engine.tables import NoExtras, with_fields
 from pmcl.logs import LidarScans, RobotLog
 from pmcl.maps import OccupancyGrid
 from pmcl.models import Lidar
+from pmcl.models.sensors.lidar.geometry import lengths_along
 from pmcl.models.sensors.lidar.kernels.beam import beam_below, beam_logpdf
 from pmcl.models.sensors.lidar.kernels.casting import WALL_DEPTH
 from pmcl.models.sensors.lidar.tempering import usual_exponent
@@ -56,6 +57,13 @@ def logpdf_of_rows(table, path):
     return values
 
 
+def at_once(table):
+    """Return a table whose readings are not late."""
+    if isinstance(table.extras, NoExtras):
+        return table
+    return with_fields(table, {"lag": np.zeros_like(table.extras.lag)})
+
+
 def logpdf_along(table, path):
     values = np.zeros(len(path))
     scratch = np.empty((contract.scratch_rows(table), len(path)))
@@ -63,7 +71,23 @@ def logpdf_along(table, path):
     return values
 
 
-def expected_logpdf(log, path, model, exponent, bias=0.0, scale=1.0):
+def to_disc(x, y, direction, disc):
+    """Return the first positive distance at which a ray crosses a circle from outside; inf where there is none."""
+    ahead = np.array([np.cos(direction), np.sin(direction)])
+    away = np.array([x - disc[0], y - disc[1]])
+    roots = np.roots([1.0, 2.0 * ahead @ away, away @ away - disc[2] ** 2])
+    real = roots.real[np.abs(roots.imag) < 1e-12]
+    return real.min() if real.size == 2 and real.min() > 0.0 else np.inf
+
+
+def disc_density(z, expected, scale, max_range, model):
+    if model == "beam":
+        return beam_density(z, expected, max_range, *BEAM_THETA)
+    sigma, z_rand = FIELD_THETA
+    return (1.0 - z_rand) * stats.norm.pdf((z - expected) / scale, scale=sigma) + z_rand / max_range
+
+
+def expected_logpdf(log, path, model, exponent, bias=0.0, scale=1.0, discs=()):
     """Return the log density of each row from the definitions."""
     values = np.zeros(len(path))
     geometry = grid_maps.cells_of(log.grid_map)
@@ -75,9 +99,9 @@ def expected_logpdf(log, path, model, exponent, bias=0.0, scale=1.0):
                 x, y, yaw = laser.pose
                 x, y, direction = grid_maps.beam_poses(pose, (x, y, yaw + angle))
                 z = min(z, laser.max_range)
+                length = grid_maps.cast(geometry, (x, y), direction, laser.max_range)
+                length = min(length + WALL_DEPTH * log.grid_map.resolution, 100.0)
                 if model == "beam":
-                    length = grid_maps.cast(geometry, (x, y), direction, laser.max_range)
-                    length = min(length + WALL_DEPTH * log.grid_map.resolution, 100.0)
                     value = beam_density(z, scale * length + bias, laser.max_range, *BEAM_THETA)
                 elif z < laser.max_range:
                     reach = (z - bias) / scale
@@ -85,6 +109,11 @@ def expected_logpdf(log, path, model, exponent, bias=0.0, scale=1.0):
                     value = grid_maps.field_density(log.grid_map, point, *FIELD_THETA, laser.max_range)
                 else:
                     continue
+                for disc in discs:
+                    near = to_disc(x, y, direction, disc)
+                    if near < length:
+                        echo = disc_density(z, scale * near + bias, scale, laser.max_range, model)
+                        value = (1.0 - disc[3]) * value + disc[3] * echo
                 values[t] += exponent * np.log(value)
     return values
 
@@ -97,6 +126,23 @@ def test_density_of_scans(rng, model, theta, bias, scale):
     table = table._replace(bias=table.bias + bias, scale=table.scale * scale)
     expected = expected_logpdf(log, path, model, 0.25, bias, scale)
     assert (expected[[0, 2, 3]] != 0.0).all()
+    np.testing.assert_allclose(logpdf_of_rows(table, path), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(logpdf_along(table, path), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("model", "theta"), [("likelihood-field", FIELD_THETA), ("beam", BEAM_THETA)])
+@pytest.mark.parametrize("weights", [(0.3, 1.0), (0.6, 0.0)])
+def test_obstacles_answer_their_share_of_the_rays_that_meet_them_before_a_wall(rng, model, theta, weights):
+    log, path = small_log(rng, rows=12)
+    # One beside the third pose, and a large one in the middle of the map.
+    middle = grid_maps.to_map(log.grid_map, 20.0, 15.0)
+    discs = np.array([(path[3, 0] + 0.5, path[3, 1], 0.3, weights[0]), (*middle, 0.8, weights[1])])
+    table = Lidar(model=model, exponent=0.25).bind(log).table(theta)
+    plain = expected_logpdf(log, path, model, 0.25)
+    table = table._replace(bias=table.bias + 0.1, scale=table.scale * 1.05)
+    table = with_fields(table, {"obstacles": discs})
+    expected = expected_logpdf(log, path, model, 0.25, 0.1, 1.05, discs)
+    assert (np.abs(expected - plain) > 0.1).sum() >= 3
     np.testing.assert_allclose(logpdf_of_rows(table, path), expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(logpdf_along(table, path), expected, rtol=1e-9, atol=1e-9)
 
@@ -148,13 +194,14 @@ def test_statistics_have_the_density_of_the_path(rng, model, theta):
 
 
 @pytest.mark.parametrize(("model", "theta"), [("likelihood-field", FIELD_THETA), ("beam", BEAM_THETA)])
-@pytest.mark.parametrize("lag", [0.0, 0.6])
-def test_single_readings_add_up_to_their_scan(rng, model, theta, lag):
+@pytest.mark.parametrize(("lag", "weight"), [(0.0, 0.0), (0.6, 0.0), (0.0, 0.7)])
+def test_single_readings_add_up_to_their_scan(rng, model, theta, lag, weight):
     log, path = small_log(rng, rows=5)
     table = Lidar(model=model, exponent=0.1).bind(log).table(theta)
-    if lag:
-        table = with_fields(table, {"lag": np.full(5, lag)})
     t, n = 3, 7
+    if lag or weight:
+        disc = (path[t, 0] + 0.6, path[t, 1] + 0.3, 0.4, weight)
+        table = with_fields(table, {"lag": np.full(5, lag), "obstacles": np.array([disc])})
     states = path[t][:, None] + 0.1 * rng.standard_normal((3, n))
     before = path[t - 1][:, None] + 0.1 * rng.standard_normal((3, n))
     rows = contract.scratch_rows(table)
@@ -162,7 +209,7 @@ def test_single_readings_add_up_to_their_scan(rng, model, theta, lag):
     contract.reading_logpdf(table, t, before, states, whole, np.empty((rows, n)))
     late = states - lag * (states - before)
     np.testing.assert_allclose(
-        whole, [logpdf_of_rows(table._replace(extras=NoExtras()), np.tile(late[:, i], (5, 1)))[t] for i in range(n)],
+        whole, [logpdf_of_rows(at_once(table), np.tile(late[:, i], (5, 1)))[t] for i in range(n)],
         rtol=1e-9,
     )  # fmt: skip
     scratch, memory = np.empty((rows, n)), np.empty((3, n))
@@ -177,6 +224,60 @@ def test_single_readings_add_up_to_their_scan(rng, model, theta, lag):
             assert (high < 1.0 + 1e-9).all()
             assert not np.isnan(index.reading[slot])
     np.testing.assert_allclose(contract.reading_exponent(table) * total, whole, rtol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["likelihood-field", "beam"])
+def test_distribution_function_beside_obstacles_is_that_of_the_draws(rng, model):
+    """PITs of readings drawn beside an obstacle that answers half of the rays are uniform, and without it they are not.
+
+    Rays that meet the obstacle only: the others are as in a table without it.
+    """
+    grid = OccupancyGrid(grid_maps.box(60, 60), 0.1, (0.0, 0.0, 0.0))
+    rows, angles = 150, np.linspace(-0.2, 0.2, 9)
+    lidars = {"": LidarScans(np.ones((rows, 9)), angles, 0.05, 8.0, np.zeros(3))}
+    log = RobotLog.build(
+        time=np.arange(rows, dtype=float), odometry=np.zeros((rows, 3)), lidars=lidars, grid_map=grid, warn=False
+    )
+    path = np.column_stack([rng.uniform(1.0, 1.5, rows), rng.uniform(2.9, 3.1, rows), np.zeros(rows)])
+    theta = np.array([0.05, 0.0]) if model == "likelihood-field" else np.array([0.05, 0.0, 0.0, 0.0, 1.0])
+    table = Lidar(model=model, exponent=1.0).bind(log).table(theta)
+    beside = with_fields(table, {"obstacles": np.array([(3.0, 3.0, 0.8, 0.5)])})
+    drawn = Lidar.simulate(beside, path, np.random.default_rng(3))
+
+    def pit(judged):
+        found, noise = [], np.random.default_rng(4)
+        scratch, memory = np.empty((contract.scratch_rows(judged), 1)), np.empty((3, 1))
+        for t in range(rows):
+            state = path[t][:, None].copy()
+            for slot in range(*contract.reading_slots(judged, t)):
+                logp, low, high = np.empty((3, 1))
+                assert contract.one_reading(judged, t, slot, state, state, logp, low, high, memory, scratch)
+                found.append(low[0] + (high[0] - low[0]) * noise.random())
+        return np.array(found)
+
+    assert np.mean(drawn.reading < 2.3) == pytest.approx(0.5, abs=0.05)
+    assert stats.kstest(pit(drawn), "uniform").statistic < 0.05
+    assert stats.kstest(pit(table._replace(reading=drawn.reading)), "uniform").statistic > 0.3
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.25, 1 / 30])
+def test_replicated_scans_are_worth_what_the_exponent_says(exponent):
+    """Means of scans scatter like those of beams * exponent independent beams; single readings are as ever."""
+    grid = OccupancyGrid(grid_maps.box(60, 60), 0.1, (0.0, 0.0, 0.0))
+    rows, rays = 1500, 360
+    lidars = {"": LidarScans(np.ones((rows, rays)), np.linspace(-0.1, 0.1, rays), 0.05, 8.0, np.zeros(3))}
+    log = RobotLog.build(
+        time=np.arange(rows, dtype=float), odometry=np.zeros((rows, 3)), lidars=lidars, grid_map=grid, warn=False
+    )
+    table = Lidar(model="beam", exponent=exponent, max_beams=rays).bind(log)
+    table = table.table(np.array([0.05, 0.0, 0.0, 0.0, 1.0]))
+    path = np.tile((3.0, 3.0, 0.0), (rows, 1))
+    drawn = Lidar.replicate(table, path, np.random.default_rng(2)).reading
+    error = (drawn - lengths_along(table, path)) / 0.05
+    assert error.std() == pytest.approx(1.0, rel=0.1)
+    assert rays * exponent * error.mean(axis=1).var() == pytest.approx(1.0, rel=0.15)
+    # Rows are independent.
+    assert abs(np.corrcoef(error[:-1].mean(axis=1), error[1:].mean(axis=1))[0, 1]) < 0.1
 
 
 def test_usual_exponent():

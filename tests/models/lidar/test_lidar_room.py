@@ -150,9 +150,32 @@ def test_effects(log, rng, sensor, text):
     assert at_truth[1] < mirrored[1]
 
 
+@pytest.mark.parametrize("sensor", [FIELD, BEAM])
+def test_an_obstacle_is_seen_where_it_stands(rng, sensor):
+    """Something at (8, 8) answers seven of ten rays that meet it: weight, place and radius are likelier than others."""
+    plain = Lidar(model=sensor.model, exponent=1.0)
+    simulated = simulate_lidar_room(60, 5, sensor=plain, effects=["unmapped-obstacle@8,8=0.7,8,8,0.4"])
+    effect, values = parse_effect("unmapped-obstacle@8,8=0.7,8,8,0.4", simulated, rng)
+    bound = RobotModel(sensors=(plain,), effects=(effect,)).bind(simulated)
+    path = np.ascontiguousarray(simulated.true_poses.T)
+
+    def log_density(*obstacle):
+        theta = np.array([simulated.true_theta.get(name, np.nan) for name in bound.names])
+        theta[-4:] = obstacle
+        (table,) = bound.tables(theta)[0].sensors
+        logp, scratch = np.zeros(60), np.empty((contract.scratch_rows(table), 60))
+        contract.path_reading_logpdf(table, 60, path, logp, scratch)
+        return logp.sum()
+
+    at_truth = log_density(*values)
+    for other in ((0.0, 8, 8, 0.4), (0.3, 8, 8, 0.4), (1.0, 8, 8, 0.4), (0.7, 8.3, 8, 0.4), (0.7, 8, 8, 0.2)):
+        assert at_truth > log_density(*other) + 3.0
+
+
 def test_effects_of_beams_are_not_offered(log):
     offered = {effect.name for effect in candidates(log)}
     assert {"sensor-yaw", "sensor-offset", "sensor-latency", "range-bias", "range-scale"} <= offered
+    assert "unmapped-obstacle" in offered
     assert not {"beam-bias", "short-readings", "wall-moved", "range-is-depth"} & offered
 
 

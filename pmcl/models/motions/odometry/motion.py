@@ -63,6 +63,7 @@ class Differential(Motion):
     parameters: tuple[Parameter, ...] = _ALPHAS
 
     summary: ClassVar[str] = "AMCL's noise of a differential drive: turn, drive, turn"
+    aside_by_turning: ClassVar[bool] = True
 
     def bind(self, log: RobotLog) -> BoundDifferential:
         """Take the log's odometry; raises ModelError when the robot of a whole log never moves."""

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.models.sensor import ReadingIndex
-from pmcl.models.sensors.lidar.geometry import lengths_along, occupied_centres, ray_origins
-from pmcl.models.sensors.lidar.linearisation import wall_normals
+from pmcl.models.sensors.lidar.geometry import lengths_along, ray_origins
 from pmcl.models.sensors.lidar.table import LidarTable
+from pmcl.models.sensors.lidar.walls import walls_of
 
 __all__ = ["along", "covariates", "incidence"]
 
@@ -20,16 +20,20 @@ def along(table: LidarTable, path: Float) -> dict[str, Float]:
 
     ``distance`` [m], ``incidence`` and ``world_direction`` [rad], see :data:`pmcl.models.effects.terms.OF_BEAMS`.
     """
+    lengths = lengths_along(table, path)
     return {
-        "distance": np.minimum(lengths_along(table, path), table.max_range),
-        "incidence": incidence(table, path),
+        "distance": np.minimum(lengths, table.max_range),
+        "incidence": _incidence(table, path, lengths),
         "world_direction": path[:, 2, None] + table.beam_pose[:, 2],
     }
 
 
 def incidence(table: LidarTable, path: Float) -> Float:
     """Return the angle between each ray and the normal of the wall it meets [rad], (T, R); 0 where there is none."""
-    lengths = lengths_along(table, path)
+    return _incidence(table, path, lengths_along(table, path))
+
+
+def _incidence(table: LidarTable, path: Float, lengths: Float) -> Float:
     angle = np.zeros(lengths.shape)
     time, ray = np.nonzero(np.isfinite(lengths))
     if time.size:
@@ -37,7 +41,7 @@ def incidence(table: LidarTable, path: Float) -> Float:
         direction = directions[time, ray]
         towards = np.column_stack([np.cos(direction), np.sin(direction)])
         points = origins[time, ray] + lengths[time, ray, None] * towards
-        normal, _, straight = wall_normals(occupied_centres(table), points)
+        normal, _, straight = walls_of(table).next_to(points)
         cosine = np.abs(np.einsum("ki,ki->k", normal, towards))
         angle[time, ray] = np.where(straight, np.arccos(np.minimum(cosine, 1.0)), 0.0)
     return angle
@@ -46,11 +50,11 @@ def incidence(table: LidarTable, path: Float) -> Float:
 def covariates(table: LidarTable, path: Float, index: ReadingIndex) -> dict[str, Float]:
     """Return distance, direction and incidence of readings; see :meth:`pmcl.models.sensor.Sensor.covariates`."""
     ray = _positions(table, index)
-    distance = np.minimum(lengths_along(table, path), table.max_range)
+    lengths = lengths_along(table, path)
     return {
-        "distance": distance[index.time, ray],
+        "distance": np.minimum(lengths, table.max_range)[index.time, ray],
         "direction": path[index.time, 2] + table.beam_pose[ray, 2],
-        "incidence": incidence(table, path)[index.time, ray],
+        "incidence": _incidence(table, path, lengths)[index.time, ray],
     }
 
 

@@ -15,20 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
-from pmcl.models.sensors.lidar.geometry import lengths_along, occupied_centres, ray_origins
+from pmcl.models.sensors.lidar.geometry import lengths_along, ray_origins
 from pmcl.models.sensors.lidar.table import BEAM, LidarTable
+from pmcl.models.sensors.lidar.walls import walls_of
 
-__all__ = ["LinearScans", "empty_like", "linearise", "moved_linearisation", "wall_normals"]
+__all__ = ["LinearScans", "empty_like", "linearise", "moved_linearisation"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-# Occupied cells that a wall's direction is taken from: about half a metre of it at 5 cm.
-_NEIGHBOURS = 9
-# They are a wall where their scatter across it is at most this share of that along it (variances).
-_MOST_CURVED = 0.15
 # Rays that graze a wall more closely (cosine of the incidence) have no useful slope.
 _LEAST_COSINE = 0.15
 # A reading that ends farther from its wall than this many standard deviations says nothing of where the wall is.
@@ -69,40 +65,6 @@ class LinearScans(NamedTuple):
     normal: Float
 
 
-def wall_normals(centres: Float, points: Float) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Return the straight wall next to each point.
-
-    Parameters
-    ----------
-    centres : ndarray, shape (N, 2)
-        Centres of occupied cells [m].
-    points : ndarray, shape (M, 2)
-        Points [m].
-
-    Returns
-    -------
-    normal : ndarray, shape (M, 2)
-        Unit normal, of either sign.
-    offset : ndarray, shape (M,)
-        Distance of the wall from the origin along the normal [m].
-    straight : ndarray of bool, shape (M,)
-        Whether the occupied cells there lie along a line.
-    """
-    tree = KDTree(centres)
-    count = min(_NEIGHBOURS, len(centres))
-    _, nearest = tree.query(points)
-    cells, which = np.unique(nearest, return_inverse=True)
-    _, around = tree.query(centres[cells], k=count)
-    members = centres[np.reshape(around, (cells.size, count))]
-    middle = members.mean(axis=1)
-    spread = members - middle[:, None]
-    variance, axes = np.linalg.eigh(np.einsum("kni,knj->kij", spread, spread) / count)
-    normal = axes[:, :, 0]
-    straight = (variance[:, 0] <= _MOST_CURVED * variance[:, 1]) & (count > 2)
-    offset = np.einsum("ki,ki->k", normal, middle)
-    return normal[which], offset[which], straight[which]
-
-
 def linearise(table: LidarTable, reference: Float) -> LinearScans:
     """Linearise scans around a reference (T, D); see :meth:`pmcl.models.sensor.Sensor.linearise`."""
     n_steps = reference.shape[0]
@@ -118,7 +80,7 @@ def linearise(table: LidarTable, reference: Float) -> LinearScans:
     time, ray = np.nonzero(usable)
     start, direction = origins[time, ray], directions[time, ray]
     along = np.column_stack([np.cos(direction), np.sin(direction)])
-    normal, offset, straight = wall_normals(occupied_centres(table), start + to_wall[time, ray, None] * along)
+    normal, offset, straight = walls_of(table).next_to(start + to_wall[time, ray, None] * along)
     cosine = np.einsum("ki,ki->k", normal, along)
     steep = straight & (np.abs(cosine) > _LEAST_COSINE)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -29,7 +29,7 @@ from pmcl.models.sensors.lidar.linearisation import empty_like, linearise, moved
 from pmcl.models.sensors.lidar.log_variables import LidarVariables
 from pmcl.models.sensors.lidar.quick import quick_scans
 from pmcl.models.sensors.lidar.scoring import rays_that_differ
-from pmcl.models.sensors.lidar.simulation import simulate
+from pmcl.models.sensors.lidar.simulation import replicate, simulate
 from pmcl.models.sensors.lidar.table import BEAM, FIELD, OPEN_RAY, LidarTable, cell_noise
 from pmcl.models.sensors.lidar.tempering import usual_exponent
 
@@ -92,6 +92,7 @@ class Lidar(LidarVariables, Sensor):
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)
+    replicate = staticmethod(replicate)
     quick_readings = staticmethod(quick_scans)
     along = staticmethod(along)
     covariates = staticmethod(covariates)

@@ -52,9 +52,13 @@ class LidarExtras(NamedTuple):
     lag : ndarray, shape (T,)
         Readings are those of the pose this share of the last step ago; beyond 1 as if the robot had moved the same way
         before.
+    obstacles : ndarray, shape (K, 4)
+        Discs (x, y, radius [m], weight) that the map lacks: a ray that meets one before anything on the map ends there
+        with that probability.
     """
 
     lag: Annotated[Float, Axes("time", neutral=0.0)]
+    obstacles: Annotated[Float, Axes("obstacle", 4, neutral=0.0)]
 
 
 class LidarTable(NamedTuple):

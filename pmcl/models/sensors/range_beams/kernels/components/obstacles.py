@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
+from pmcl.models.sensors.discs import disc_length, disc_lengths
 from pmcl.models.sensors.range_beams.kernels.casting import COSINE, SINE
 from pmcl.models.sensors.range_beams.kernels.components.drawing import (
     Alternative,
@@ -44,11 +45,7 @@ def _obstacle_lengths(sensor, k, beam, scratch, lengths):
         dx, dy = cosine[i] * c - sine[i] * s, sine[i] * c + cosine[i] * s
         away_x = x - (pose[0, i] + mount_x * cosine[i] - mount_y * sine[i])
         away_y = y - (pose[1, i] + mount_x * sine[i] + mount_y * cosine[i])
-        along = away_x * dx + away_y * dy
-        aside = away_x * dy - away_y * dx
-        inner = radius * radius - aside * aside
-        length = along - math.sqrt(max(inner, 0.0))
-        lengths[i] = length if (inner > 0.0) & (length > 0.0) else np.inf
+        lengths[i] = disc_length(away_x, away_y, dx, dy, radius)
 
 
 @kernel
@@ -114,7 +111,4 @@ def draw_obstacle_echoes(table: RangeBeams, beams: BeamsAlongPath, rng: np.rando
 def _lengths_along_path(table: RangeBeams, poses: Float, x: float, y: float, radius: float) -> Float:
     """Return how far each beam runs to a disc; inf where it misses, or the robot stands in it."""
     from_x, from_y, dx, dy = origins_and_directions(table, poses)
-    along = (x - from_x) * dx + (y - from_y) * dy
-    inner = radius**2 - ((x - from_x) * dy - (y - from_y) * dx) ** 2
-    length = along - np.sqrt(np.maximum(inner, 0.0))
-    return np.where((inner > 0.0) & (length > 0.0), length, np.inf)
+    return disc_lengths(x - from_x, y - from_y, dx, dy, radius)
