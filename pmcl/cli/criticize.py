@@ -54,7 +54,7 @@ __all__ = ["criticize"]
     "--model",
     "model_file",
     metavar="FILE.toml",
-    help="Model file of the model to criticise; without it the paper's model.",
+    help="Model file of the model to criticise; without it the usual model of the log.",
 )
 @effects_option()
 @click.option(
@@ -64,6 +64,10 @@ __all__ = ["criticize"]
 @click.option(
     "--level", type=click.FloatRange(0.0, 0.5, min_open=True, max_open=True), default=defaults.FALSE_ALARM_LEVEL,
     show_default=True, help="Share of faultless logs that may raise an alarm.",
+)  # fmt: skip
+@click.option(
+    "--rounds", type=click.IntRange(min=1), default=3, show_default=True,
+    help="Greatest number of effects that are added. A robot whose map lacks things may need some more.",
 )  # fmt: skip
 @click.option("--joint/--no-joint", default=True, show_default=True,
     help="Calibrate the final model with full chains, or with one longer chain (faster).",)

@@ -130,9 +130,13 @@ def criticize(
 
 def _check(log: RobotLog) -> None:
     if log.n_steps < _LEAST_ROWS:
+        # The rows of a lidar's log are those scans that a filter uses; recordings hold more.
+        more = "; record longer"
+        if log.lidars:
+            more += ", or convert with more scans (--update-min-d 0.1 --update-min-a 0.1; 0 takes every scan)"
         raise CriticismError(
             f"{log.where}: expected at least {_LEAST_ROWS} rows, to fit on one part and judge on another, but got "
-            f"{log.n_steps}; record longer"
+            f"{log.n_steps}{more}"
         )
     if not np.any(log.odometry[1:] != 0.0):
         raise CriticismError(

@@ -1,0 +1,42 @@
+"""The critic on logs of lidars: simulated ones with a wrong mount and with nothing wrong, and a recorded robot."""
+
+from __future__ import annotations
+
+import pytest
+
+from pmcl.criticism.workflow import criticize
+from pmcl.errors import CriticismError
+from pmcl.models import Lidar, RobotModel
+from pmcl.simulations.lidar_room import simulate_lidar_room
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+def room(seed, *effects, rows=120):
+    return simulate_lidar_room(rows, seed, n_rays=12, effects=effects, hide_effects=True)
+
+
+def small(log, model=None, **settings):
+    model = RobotModel(sensors=(Lidar(),)) if model is None else model
+    return criticize(log, model, **{"simulations": 20, "joint": False, "seed": 1, "rounds": 1, **settings})
+
+
+def test_a_right_mount_is_left_alone():
+    result = small(room(1))
+    assert result.verdict == "no missing effect"
+    assert result.effects == ()
+
+
+def test_a_wrong_mount_is_found():
+    result = small(room(2, "sensor-yaw=0.1"))
+    (found,) = result.effects
+    assert found.name == "sensor-yaw"
+    # Driving ahead, a robot that slides aside looks the same.
+    assert set(found.not_distinguishable_from) <= {"odometry-side-drift"}
+    estimate = found.parameters["sensor_yaw"]
+    assert abs(estimate.mean - 0.1) < 4.0 * estimate.sd < 0.05
+
+
+def test_a_log_with_too_few_scans_is_told_how_to_get_more():
+    with pytest.raises(CriticismError, match=r"but got 33; record longer, or convert .*--update-min-d 0\.1"):
+        small(room(1, rows=33))
