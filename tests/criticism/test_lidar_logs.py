@@ -1,4 +1,4 @@
-"""The critic on logs of lidars: simulated ones with a wrong mount and with nothing wrong, and a recorded robot."""
+"""The critic on simulated logs of lidars, with a wrong mount and with nothing wrong."""
 
 from __future__ import annotations
 
