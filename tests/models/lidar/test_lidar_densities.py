@@ -84,6 +84,8 @@ def disc_density(z, expected, scale, max_range, model):
     if model == "beam":
         return beam_density(z, expected, max_range, *BEAM_THETA)
     sigma, z_rand = FIELD_THETA
+    # An obstacle answers with the noise of any hit, what the cells hide included: small_log has cells of 0.1 m.
+    sigma = np.hypot(sigma, 0.1 / np.sqrt(6.0))
     return (1.0 - z_rand) * stats.norm.pdf((z - expected) / scale, scale=sigma) + z_rand / max_range
 
 
