@@ -1,4 +1,4 @@
-"""The critic on simulated logs of lidars, with a wrong mount and with nothing wrong."""
+"""The critic on simulated logs of lidars with nothing wrong, and with too few scans."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pmcl.simulations.lidar_room import simulate_lidar_room
 # mypy: disable-error-code="no-untyped-def"
 
 
-def room(seed, *effects, rows=120):
-    return simulate_lidar_room(rows, seed, n_rays=12, effects=effects, hide_effects=True)
+def room(seed, rows=120):
+    return simulate_lidar_room(rows, seed, n_rays=12)
 
 
 def small(log, model=None, **settings):
@@ -21,20 +21,11 @@ def small(log, model=None, **settings):
     return criticize(log, model, **{"simulations": 20, "joint": False, "seed": 1, "rounds": 1, **settings})
 
 
+@pytest.mark.slow
 def test_a_right_mount_is_left_alone():
     result = small(room(1))
     assert result.verdict == "no missing effect"
     assert result.effects == ()
-
-
-def test_a_wrong_mount_is_found():
-    result = small(room(2, "sensor-yaw=0.1"))
-    (found,) = result.effects
-    assert found.name == "sensor-yaw"
-    # Driving ahead, a robot that slides aside looks the same.
-    assert set(found.not_distinguishable_from) <= {"odometry-side-drift"}
-    estimate = found.parameters["sensor_yaw"]
-    assert abs(estimate.mean - 0.1) < 4.0 * estimate.sd < 0.05
 
 
 def test_a_log_with_too_few_scans_is_told_how_to_get_more():
