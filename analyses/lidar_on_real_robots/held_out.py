@@ -6,7 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from judge import JUDGED_PARTICLES, REFERENCE, ellipse_radius, errors, fit_judge, log_density_of_truth
+from judge import (
+    JUDGED_PARTICLES,
+    REFERENCE,
+    ellipse_radius,
+    errors,
+    fit_judge,
+    log_density_of_truth,
+    share_near_walls,
+)
 from nav2_filter import CUBES, PRODUCT, Settings, grid_of_nav2, run_filter
 from recordings import jarvis, jarvis_map
 from results import Table
@@ -84,21 +92,28 @@ def contestants(found: dict[str, Settings]) -> dict[str, Settings]:
 
 
 def run(folder: Path, kinds, directions, seeds: int, draws: int, chains: int) -> None:
-    """Calibrate what is not calibrated and localize what is not localized; `kinds` for each laser."""
+    """Calibrate what is not calibrated and localize what is not localized; `kinds` for each laser.
+
+    Both lasers together are localized with what was calibrated with the navigation laser alone.
+    """
     table = Table(folder / "held_out.csv", RESULT, 5)
     rows = Table(folder / "held_out_rows.csv", ROWS, 5)
+    seen = Table(folder / "near_walls.csv", ("laser", "part", "share"), 2)
     maps = {"as it is": jarvis_map(), "with margin": jarvis_map().with_margin(MARGIN)}
     maps = {name: grid_of_nav2(grid) for name, grid in maps.items()}
     for laser, of_laser in kinds.items():
         for train, judged in directions:
-            name = f"jarvis_{laser}_{train}"
-            log = jarvis(laser, train)
+            source = "navigation" if laser == "both" else laser
+            name = f"jarvis_{source}_{train}"
+            log = jarvis(source, train)
             found = {}
             for kind in of_laser:
                 # The README's commands have the usual number of chains; two are enough for the rest.
-                number = chains if (laser, kind) == ("navigation", "tempered") else 2
+                number = chains if (source, kind) == ("navigation", "tempered") else 2
                 found[kind] = settings_of(calibrated(name, log, kind, folder, draws, number))
-            judge = fit_judge(log, jarvis(laser, judged))
+            if not seen.knows(laser, judged):
+                seen.add(laser, judged, share_near_walls(jarvis(laser, judged)))
+            judge = fit_judge(jarvis(laser, train), jarvis(laser, judged))
             compare(laser, judged, contestants(found), maps, seeds, (table, rows), judge)
 
 

@@ -22,7 +22,7 @@ from scipy.special import logsumexp, softmax
 from pmcl.geometry import wrap
 from pmcl.localization.metrics import nees
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.sensors.lidar.geometry import lengths_along
+from pmcl.models.sensors.lidar.geometry import end_points_along, lengths_along
 from pmcl.models.sensors.lidar.kernels.beam import beam_logpdf, expected_range
 from pmcl.models.sensors.lidar.sensor import Lidar
 
@@ -90,6 +90,13 @@ def fit_judge(other: RobotLog, judged: RobotLog) -> Judge:
     start = np.array([np.log(0.05), -3.0, -4.0, -3.0, np.log(0.5)])
     best = minimize(loss, start, method="Nelder-Mead", options={"maxiter": 4000, "fatol": 1e-3, "xatol": 1e-3})
     return Judge(beam_table(judged), tuple(float(value) for value in numbers(best.x)))
+
+
+def share_near_walls(log: RobotLog, near: float = 0.1) -> float:
+    """Share of readings with an echo that end within `near` [m] of an occupied cell, at the reference poses."""
+    table = Lidar(max_beams=60).bind(log).base
+    levels = end_points_along(table, log.true_poses)
+    return float(np.mean(table.level_distance[levels[levels >= 0]] < near))
 
 
 def log_density_of_truth(mean, covariance, truth):
