@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import yaml
 from judge import (
     JUDGED_PARTICLES,
     REFERENCE,
@@ -18,6 +17,7 @@ from judge import (
 from nav2_filter import CUBES, PRODUCT, Settings, grid_of_nav2, run_filter
 from recordings import jarvis, jarvis_map
 from results import Table
+from ruamel.yaml import YAML
 
 import pmcl
 from pmcl.exports.export import export_text
@@ -66,7 +66,7 @@ def calibrated(name: str, log, kind: str, folder: Path, draws: int, chains: int)
 
 def settings_of(text: str) -> Settings:
     """Read an exported file as nav2 would."""
-    found = yaml.safe_load(text)["amcl"]["ros__parameters"]
+    found = YAML(typ="safe", pure=True).load(text)["amcl"]["ros__parameters"]
     beam = found["laser_model_type"] == "beam"
     assert beam or found["laser_model_type"] == "likelihood_field_prob"
     names = ("sigma_hit", "z_hit", "z_rand", "laser_max_range", "max_beams")
