@@ -123,7 +123,7 @@ def compare(laser, judged, settings, maps, seeds, tables, judge) -> None:
     truth = log.true_poses
     for which, grid in maps.items():
         for name, chosen in settings.items():
-            if rows.knows(laser, judged, which, name, f"{log.times[-1]:.6g}"):
+            if rows.knows(laser, judged, which, name, float(log.times[-1])):
                 continue
             off = []
             for seed in range(seeds):

@@ -18,10 +18,10 @@ class Table:
                 self.known = {tuple(row[name] for name in self.columns[:keys]) for row in csv.DictReader(file)}
 
     def knows(self, *key: object) -> bool:
-        return tuple(str(part) for part in key) in self.known
+        return tuple(_written(part) for part in key) in self.known
 
     def add(self, *values: object) -> None:
-        row = [f"{value:.6g}" if isinstance(value, float) else str(value) for value in values]
+        row = [_written(value) for value in values]
         assert len(row) == len(self.columns)
         new = not self.path.exists()
         with self.path.open("a", newline="") as file:
@@ -30,3 +30,7 @@ class Table:
                 writer.writerow(self.columns)
             writer.writerow(row)
         self.known.add(tuple(row[: self.keys]))
+
+
+def _written(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

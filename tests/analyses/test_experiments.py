@@ -201,3 +201,27 @@ def test_exported_parameters_localize_better_than_defaults_on_the_other_part_of_
     assert mean["as it is", "export", "position_rmse"] > 1.5 * mean["with margin", "export", "position_rmse"]
     assert mean["as it is", "hand", "position_rmse"] == mean["with margin", "hand", "position_rmse"]
     assert "likelihood_field_prob" in (folder / "exported" / "jarvis_navigation_first_tempered.yaml").read_text()
+
+
+@pytest.mark.slow
+def test_products_suit_independent_beams_and_are_too_sure_where_the_map_is_wrong(small):
+    rows = read(small("lidar_on_real_robots", "combining") / "combining.csv")
+    rows = [row for row in rows if row["start"] == "clicked"]
+    mean = {}
+    for name in "position_rmse", "coverage_95", "lost":
+        for row in rows:
+            key = row["log"].split(",")[1].strip(), row["numbers"], row["rule"], float(row["worth"]), name
+            mean.setdefault(key, []).append(float(row[name]))
+    mean = {key: np.mean(values) for key, values in mean.items()}
+    assert all(value == 0.0 for key, value in mean.items() if key[4] == "lost")
+    product, tempered, cubes = (
+        ("calibrated", "product", 60.0), ("calibrated", "product", 2.0), ("defaults", "cubes", 60.0),
+    )  # fmt: skip
+    # So narrow a weight finds no particle among few.
+    many = ("calibrated", "product, 20 000 particles", 60.0)
+    right, wrong = ("right map",), ("wrong map",)
+    assert mean[right + many + ("position_rmse",)] < 0.7 * mean[right + tempered + ("position_rmse",)]
+    assert mean[wrong + product + ("coverage_95",)] < 0.3 < 0.6 < mean[wrong + tempered + ("coverage_95",)]
+    # Nearly all of nav2's default belief is width.
+    assert mean[wrong + cubes + ("coverage_95",)] > 0.99
+    assert mean[right + cubes + ("position_rmse",)] > 2.0 * mean[right + many + ("position_rmse",)]
