@@ -27,9 +27,9 @@ MOST_ROWS = 150
 """Deviations that so many scans would not show are no fault, however long the log is.
 
 A belief that is wide on purpose is not quite right: when beams share nothing, the filter follows each error too slowly,
-and readings near edges are foreseen a little askew. On 72 simulated logs of 120 and 600 rows without a mistake that
-never came near the critical values of 150 rows, while walls that stand 0.3 m off and a mount that is wrong by 0.05 rad
-passed them within 120."""
+and readings near edges are foreseen a little askew. With this number none of 8 logs of 600 rows of a simulated room was
+objected to, and none of 48 of 120 rows, which are too short for it to count; it was chosen on these. A mount that is
+wrong by 0.05 rad was, in 7 of 8 logs of 120 rows and in 4 of 4 of 600; walls that stand 0.3 m off in 10 of 11."""
 
 # With two sectors for each group a scan that is worth two beams still tells what is ahead, behind, left and right.
 _SECTORS_PER_GROUP = 2
