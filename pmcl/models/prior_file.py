@@ -136,8 +136,8 @@ def _family(where: str, key: str, name: Any) -> stats.rv_continuous:
 def _checked(where: str, key: str, parameter: Parameter, prior: Any) -> Any:
     low, high = prior_support(prior)
     problem = ""
-    quartiles = prior.ppf(_QUARTILES) if low < high else np.zeros(2)
     with np.errstate(all="ignore"):
+        quartiles = prior.ppf(_QUARTILES) if low < high else np.zeros(2)
         density = prior.logpdf(0.5 * quartiles.sum()) if low < high else math.nan
     if not low < high:
         problem = f"expected arguments that {prior.dist.name} allows, but got {_in_words(prior)}; correct them"

@@ -36,7 +36,7 @@ class Case:
     follow : callable or None
         Takes the folder of a case that was accepted, and returns the arguments of a command that uses the result.
     quick : bool
-        Whether the case belongs to the part that always runs.
+        Whether the case may belong to the part that always runs, see :func:`corpus.families.quick_cases`.
     of_option : bool
         Whether an option is wrong and not a file, so that the message names no file.
     """

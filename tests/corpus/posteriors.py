@@ -83,9 +83,15 @@ EITHER_WAY = {
     "a foreign group": lambda file: file.create_group("weather").create_dataset("wind", data=np.zeros(3)),
 }
 
-REPORTED = ("draws of nan", "draws of 1e308", "draws of zero", "model of numbers", "verdict of dollars",
-            "preflight no JSON", "preflight of numbers", "a parameter of dollars", "a parameter of markup", "no prior",
-            "no observed data", "no constant data", "no trajectories")  # fmt: skip
+REPORTED = (
+    "draws of nan",
+    "model of numbers",
+    "preflight no JSON",
+    "a parameter of dollars",
+    "a parameter of markup",
+    "no constant data",
+    "no trajectories",
+)
 
 _wild = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-320, 1e154, 1e308])
 _change = st.tuples(

@@ -204,7 +204,7 @@ CSV = {
     "UTF-16": "time,odom_x\n0,0\n".encode("utf-16"),
     "Latin-1": "time,odom_x,möbel\n0,0,0\n".encode("latin-1"),
     "a byte order mark within": b"time,\xef\xbb\xbfodom_x\n0,0\n",
-    "30 million empty lines": b"\n" * 30_000_000,
+    "6 million empty lines": b"\n" * 6_000_000,
 }
 
 MRCLAM_OPTIONS = {

@@ -10,7 +10,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from corpus.check import checked, summary
-from corpus.families import FAMILIES
+from corpus.families import FAMILIES, quick_cases
 from corpus.runner import Runner
 from corpus.sound import Sound
 
@@ -27,11 +27,10 @@ def main() -> int:
         for name in given.families or FAMILIES:
             for command in FAMILIES[name].warm(sound):
                 runner.warm(*command)
-            for case in FAMILIES[name].cases(sound):
-                if case.quick or not given.quick:
-                    results.append(checked(case, runner, Path(folder) / "case"))
-                    if results[-1].problem:
-                        print(f"{case.title}: {results[-1].problem}\n")
+            for case in quick_cases(name, sound) if given.quick else FAMILIES[name].cases(sound):
+                results.append(checked(case, runner, Path(folder) / "case"))
+                if results[-1].problem:
+                    print(f"{case.title}: {results[-1].problem}\n")
     print(summary(results))
     return sum(bool(result.problem) for result in results)
 

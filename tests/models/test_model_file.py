@@ -156,7 +156,7 @@ MISTAKES = {
     '[priors.sigma_left]\ndistribution = "gamma"\na = -2': ("'priors.sigma_left'", "gamma(-2)"),
     '[priors.sigma_left]\ndistribution = "gamma"\na = 1e308': ("'priors.sigma_left.a'", "within 1e+09, but got 1e+308"),
     '[priors.sigma_left]\ndistribution = "gamma"\na = 1e-9': ("'priors.sigma_left'", "the quartiles of gamma(1e-09)"),
-    '[priors.sigma_left]\ndistribution = "beta"\na = 1e-300\nb = 1e-300': ("'priors.sigma_left'", "the quartiles of beta"),
+    '[priors.sigma_left]\ndistribution = "beta"\na = 1e-300\nb = 1e-300': ("'priors.sigma_left'", "quartiles of beta"),
     '[priors.sigma_left]\ndistribution = "pareto"\nb = 1e-3': ("'priors.sigma_left'", "within 1e+09"),
     f"[fixed]\nsigma_left = {'9' * 400}": ("'fixed.sigma_left'", "within 1e+09, but got 9999"),
     f"[fixed]\nsigma_left = {'9' * 9000}": ("TOML", "correct it"),
