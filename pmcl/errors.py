@@ -19,6 +19,7 @@ __all__ = [
     "PosteriorError",
     "SamplingError",
     "did_you_mean",
+    "one_line",
 ]
 
 
@@ -26,6 +27,9 @@ __all__ = [
 # of eight letters may have two of them wrong: "rnge-bias" is near "range-bias" (0.95), "wheel-radius" is not near
 # "wheel-slip" (0.64).
 _NEAR = 0.75
+
+# Letters of a message. Those that pmcl writes itself have up to 400, and a path may have some hundred.
+_LONGEST = 900
 
 
 def did_you_mean(given: str, known: Iterable[str], otherwise: str) -> str:
@@ -49,12 +53,27 @@ def did_you_mean(given: str, known: Iterable[str], otherwise: str) -> str:
     return f"did you mean '{near[0]}'?" if near else otherwise
 
 
+def one_line(message: str) -> str:
+    """Bring a message into one line of bounded length: what it quotes may hold line breaks, and thousands of letters.
+
+    Parameters
+    ----------
+    message : str
+
+    Returns
+    -------
+    str
+        The middle of a long message is left out.
+    """
+    line = " ".join(message.split())
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 3 :]}"
+
+
 class PmclError(ValueError):
     """Base class of the errors that pmcl raises about its input; the message is always one line."""
 
     def __init__(self, message: str = "") -> None:
-        # A path, a label or another library's message may hold line breaks.
-        super().__init__(" ".join(message.split()))
+        super().__init__(one_line(message))
 
 
 class LogError(PmclError):

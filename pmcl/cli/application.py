@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from pmcl.errors import PmclError
+from pmcl.errors import PmclError, one_line
 
 __all__ = ["DOES_NOT_FIT", "INTERRUPTED", "NOT_CONVERGED", "Application", "on_interrupt"]
 
@@ -72,7 +72,7 @@ def on_interrupt(ctx: click.Context, message: str) -> None:
 
 
 def _fail(message: str) -> int:
-    click.echo(f"pmcl: error: {' '.join(message.split())}", err=True)
+    click.echo(f"pmcl: error: {one_line(message)}", err=True)
     return BAD_INPUT
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import click
 
 from pmcl import defaults
 from pmcl.cli.options import effects_option, map_option, output_option, parameter_values, seed_option, writable_file
-from pmcl.errors import PosteriorError
+from pmcl.errors import ModelError, PosteriorError
 
 if TYPE_CHECKING:
     from pmcl.localization.track import Track
@@ -147,7 +148,7 @@ def localize(
     if tum_reference is not None and log.true_poses is None:
         raise click.UsageError(f"--tum-reference: the log {log_file} has no reference trajectory: leave it out", ctx)
     posterior = None if posterior_file is None else read_posterior(posterior_file)
-    model = _model(log, model_file, posterior, start)
+    model = _model(log, model_file, posterior, posterior_file, start)
     try:
         track = run(
             log, model, posterior, method, theta=theta, particles=particles, seed=seed,
@@ -177,7 +178,9 @@ def localize(
         )
 
 
-def _model(log: RobotLog, model_file: str | None, posterior: Posterior | None, start: str | None) -> RobotModel:
+def _model(
+    log: RobotLog, model_file: str | None, posterior: Posterior | None, posterior_file: str | None, start: str | None
+) -> RobotModel:
     """Return the model of a file, or the one whose parameters the posterior has."""
     import dataclasses
 
@@ -185,7 +188,11 @@ def _model(log: RobotLog, model_file: str | None, posterior: Posterior | None, s
     from pmcl.models.model_file import read_model
     from pmcl.models.starts.belief import StartBelief
 
-    model = model_for(log, posterior) if model_file is None else read_model(model_file, log)
+    try:
+        model = model_for(log, posterior) if model_file is None else read_model(model_file, log)
+    except ModelError as error:
+        of_posterior = model_file is None and posterior_file is not None
+        raise ModelError(f"{posterior_file}: {error}" if of_posterior else str(error)) from None
     if start == "anywhere":
         unknown = (float("inf"),) * 3
         return dataclasses.replace(model, start=StartBelief(mean=(0.0, 0.0, 0.0), std=unknown))
@@ -193,15 +200,15 @@ def _model(log: RobotLog, model_file: str | None, posterior: Posterior | None, s
 
 
 def _protect(ctx: click.Context, outputs: list[Path], inputs: list[str]) -> None:
-    taken = {Path(path).resolve() for path in inputs}
+    taken = {os.path.realpath(path) for path in inputs}
     for path in outputs:
-        if path.resolve() in taken:
+        if os.path.realpath(path) in taken:
             raise click.UsageError(
                 f"expected an output other than the inputs and the other outputs, but {path} is both: "
                 "name another file",
                 ctx,
             )
-        taken.add(path.resolve())
+        taken.add(os.path.realpath(path))
 
 
 def _print_summary(track: Track) -> None:

@@ -51,7 +51,8 @@ def output_folder(ctx: click.Context, param: click.Parameter, path: Path) -> Pat
 def protect_inputs(ctx: click.Context, output: Path, inputs: Iterable[str]) -> None:
     """Check that the output is none of the inputs."""
     for path in inputs:
-        if output.resolve() == Path(path).resolve():
+        # Unlike Path.resolve, it takes links that lead in circles for what they are.
+        if os.path.realpath(output) == os.path.realpath(path):
             raise click.UsageError(
                 f"expected an output other than the input, but both are {path}: name another file", ctx
             )

@@ -9,6 +9,7 @@ import click
 
 from pmcl.cli.application import DOES_NOT_FIT, NOT_CONVERGED
 from pmcl.cli.options import output_option
+from pmcl.errors import PosteriorError
 
 if TYPE_CHECKING:
     from pmcl.posterior.compat import Posterior
@@ -29,8 +30,12 @@ def report(posterior: str, output: Path) -> None:
     from pmcl.reports.posterior_report import write_report
 
     data = read_posterior(posterior)
-    write_report(data, output)
-    click.echo(verdict(data).message)
+    try:
+        message = verdict(data).message
+        write_report(data, output)
+    except PosteriorError as error:
+        raise PosteriorError(f"{posterior}: {error}") from None
+    click.echo(message)
     click.echo(f"report: {output}")
 
 

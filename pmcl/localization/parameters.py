@@ -12,7 +12,7 @@ from pmcl import defaults
 from pmcl.checks import check_choice, check_number, check_type
 from pmcl.errors import ModelError, PosteriorError, did_you_mean
 from pmcl.localization.options import FilterOptions
-from pmcl.models.parameters import Parameter, prior_support
+from pmcl.models.parameters import ROLES, Parameter, prior_support
 from pmcl.models.robot_model import BoundModel
 from pmcl.posterior.access import parameter_names, theta_draws
 from pmcl.posterior.compat import Posterior
@@ -82,6 +82,7 @@ def choose_theta(
     else:
         _check_names(bound, posterior)
         values, picks = _from_posterior(bound.names, posterior, method, options)
+        _require_possible(bound, values)
     for k, name in enumerate(bound.names):
         if name in given:
             values[:, k] = given[name]
@@ -138,6 +139,22 @@ def _from_posterior(
     count, picks = default_draws(options, len(flat))
     # Evenly along each chain, chain after chain.
     return flat[np.linspace(0, len(flat) - 1, count).round().astype(int)].copy(), picks
+
+
+def _require_possible(bound: BoundModel, values: Float) -> None:
+    """Check that what comes from a posterior can be used: no negative noise, no weight beyond 1."""
+    for parameter, column in zip(bound.parameters, values.T, strict=True):
+        low, high = {"noise": (0.0, math.inf), "noise growth": (0.0, math.inf), "weight": (0.0, 1.0)}.get(
+            parameter.role, (-math.inf, math.inf)
+        )
+        usable = np.isfinite(column) & (column >= low) & (column <= high)
+        if parameter.role == "noise":
+            usable &= column > 0.0
+        if not usable.all():
+            raise PosteriorError(
+                f"expected draws of {parameter.name} that it can have ({ROLES[parameter.role]}), but got "
+                f"{column[int(np.argmin(usable))]:g}; give the posterior that 'pmcl calibrate' wrote"
+            )
 
 
 def _check_names(bound: BoundModel, posterior: Posterior) -> None:

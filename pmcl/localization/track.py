@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pmcl.errors import PosteriorError
 from pmcl.filtering.tracker import Beliefs
+from pmcl.hdf5 import stored_arrays
 from pmcl.localization.metrics import coverage, nees, pose_errors, rmse
 from pmcl.localization.setup import Prepared
 from pmcl.localization.tum import write_tum
@@ -101,10 +102,11 @@ class Track:
         Raises
         ------
         PosteriorError
-            When it is missing, damaged, or no track.
+            When it is missing, damaged, no track, or points to other files (:mod:`pmcl.hdf5`).
         """
         where = os.fspath(path)
         try:
+            stored_arrays(path)
             with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
                 loaded = dataset.load()
         except Exception as error:  # HDF5 answers a damaged file with nearly any exception

@@ -9,18 +9,20 @@ laser's (bearings fit without offset); the robot itself drives 0.08 rad to the r
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
+from scipy.io import loadmat, whosmat
 
-from pmcl.logs.recording import LandmarkRecording, resample_recording
+from pmcl.errors import LogError
+from pmcl.logs.recording import LandmarkRecording, landmark_map, resample_recording
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import MOST_NUMBERS
 from pmcl.logs.validation import fail
 from pmcl.maps.arrays import as_numbers
-from pmcl.maps.landmarks import LandmarkMap
 
 __all__ = ["read_barfoot"]
 
@@ -86,7 +88,7 @@ def read_barfoot(
         reading_times=times[step],
         reading_landmark=tube.astype(np.int64),
         reading_values=np.column_stack((data["r"][step, tube], data["b"][step, tube])),
-        landmarks=LandmarkMap(data["l"]),
+        landmarks=landmark_map(data["l"], f"{where}, 'l'"),
         sensor_pose=np.array([data["d"][0], 0.0, 0.0]),
         pose_times=times[valid],
         poses=np.column_stack((data["x_true"], data["y_true"], data["th_true"]))[valid],
@@ -109,7 +111,14 @@ def _load(file: Path, where: str) -> dict[str, Float]:
     if not file.is_file():
         fail(where, "expected the MAT-file of the recording, got no such file: check the path")
     try:
-        content = loadmat(file)
+        shapes = {name: shape for name, shape, _ in whosmat(file)}
+        names = [name for name in (*_VECTORS, "d", "r", "b", "l") if name in shapes]
+        n_numbers = sum(math.prod(shapes[name]) for name in names)
+        if n_numbers > MOST_NUMBERS:
+            fail(where, f"expected at most {MOST_NUMBERS} numbers, got {n_numbers}: cut the recording into parts")
+        content = loadmat(file, variable_names=names)
+    except LogError:
+        raise
     except MemoryError:
         raise
     except Exception as problem:  # a damaged file makes the parser fail in whatever way its bytes suggest

@@ -47,7 +47,7 @@ from pmcl.errors import did_you_mean
 from pmcl.logs.arrays import LidarScans
 from pmcl.logs.csv_table import Table, read_csv_table
 from pmcl.logs.odometry import odometry_from_poses
-from pmcl.logs.recording import REFERENCE_START_STD
+from pmcl.logs.recording import REFERENCE_START_STD, landmark_map
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.streams import landmark_rows
 from pmcl.logs.validation import fail
@@ -207,7 +207,7 @@ def _landmarks(table: Table, times: Float, sightings: str | os.PathLike[str] | N
             fail(table.where, "expected the comments '# landmark NAME: X Y' above the header, got none: add the map")
         return {}
     names = [setting[0].removeprefix("landmark ").strip() for setting in stated]
-    landmarks = LandmarkMap(np.array([table.values_of(setting, 2) for setting in stated]), tuple(names))
+    landmarks = landmark_map([table.values_of(setting, 2) for setting in stated], table.where, tuple(names))
     found: dict[str, Any] = {"landmarks": landmarks}
     sensor = table.setting("landmark_sensor", 3)
     if sensor is not None:

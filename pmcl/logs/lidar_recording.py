@@ -19,6 +19,7 @@ from pmcl.logs.odometry import LONGEST_PAUSE
 from pmcl.logs.recording import REFERENCE_START_STD
 from pmcl.logs.resample import interpolate_poses
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import MOST_NUMBERS
 from pmcl.logs.validation import fail
 from pmcl.maps.occupancy_grid import OccupancyGrid
 
@@ -37,8 +38,6 @@ Int = NDArray[np.int64]
 # Readings of all scans that are kept while a recording is read. They take 0.2 to 0.4 GB, and 0.9 GB while scans become
 # rows. A laser of 1440 rays at 10 Hz makes as many in an hour; with 60 rays of each scan they last for a day.
 _MOST_READINGS = 50_000_000
-# Readings of a log, NaN included. Each takes 50 bytes while a log is built and checked, so these take 1 GB.
-_MOST_READINGS_OF_LOG = 20_000_000
 # Clocks of one recording that mean the same instant differ by rounding only [s].
 _SAME_INSTANT = 1e-6
 
@@ -260,10 +259,10 @@ def log_of_lidars(
     heads = np.flatnonzero(np.append(True, np.diff(row) > 0))
     times, poses = scans.times[heads], scans.poses[heads]
     n_readings = len(times) * sum(len(lidar.angles) for lidar in recording.lidars)
-    if n_readings > _MOST_READINGS_OF_LOG:
+    if n_readings > MOST_NUMBERS:
         fail(
             where,
-            f"expected at most {_MOST_READINGS_OF_LOG} readings in a log, got {n_readings} in {len(times)} rows: "
+            f"expected at most {MOST_NUMBERS} readings in a log, got {n_readings} in {len(times)} rows: "
             "choose a smaller --max-beams, a greater --update-min-d, or a shorter --duration",
         )
     increments = np.zeros((len(times), 3))
@@ -296,11 +295,15 @@ def _check(rows: RowSettings, where: str) -> None:
     if isinstance(rows.start, str) and rows.start not in ("reference", "anywhere"):
         fail(where, f"expected start = 'reference', 'anywhere' or three numbers, got {rows.start!r}: choose one")
     for name, value, allowed in (
+        ("update_min_d", rows.update_min_d, 0.0 <= rows.update_min_d < math.inf),
+        ("update_min_a", rows.update_min_a, 0.0 <= rows.update_min_a < math.inf),
         ("begin", rows.begin, 0.0 <= rows.begin < math.inf),
         ("duration", rows.duration, rows.duration is None or 0.0 < rows.duration < math.inf),
     ):
         if not allowed:
-            fail(where, f"expected {name} {'>= 0' if name == 'begin' else '> 0'} [s], got {value}: choose another")
+            bound = "> 0" if name == "duration" else ">= 0"
+            unit = {"update_min_d": "m", "update_min_a": "rad"}.get(name, "s")
+            fail(where, f"expected {name} {bound} [{unit}], got {value}: choose another")
 
 
 def _sorted(times: Float, poses: Float) -> tuple[Float, Float, int]:

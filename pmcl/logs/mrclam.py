@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.logs.recording import LandmarkRecording, resample_recording
+from pmcl.logs.recording import LandmarkRecording, landmark_map, resample_recording
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.text_table import read_table
 from pmcl.logs.validation import fail
@@ -26,6 +26,8 @@ Float = NDArray[np.float64]
 
 # Subjects 1 to 5 are the robots themselves, which move.
 _LAST_ROBOT = 5
+# The published numbers have two digits.
+_GREATEST_NUMBER = 1e9
 
 
 def read_mrclam(
@@ -84,6 +86,7 @@ def read_mrclam(
     if (np.diff(truth[:, 0]) == 0.0).any():
         truth = truth[np.append(True, np.diff(truth[:, 0]) > 0.0)]
     landmarks, subject_of, index_of = _landmarks(place)
+    _require_whole(readings[:, 1:2], place / f"Robot{robot}_Measurement.dat")
     subject = np.array([subject_of.get(int(code), 0) for code in readings[:, 1]], dtype=np.int64)
     index = np.array([index_of.get(s, -1) for s in subject], dtype=np.int64)
     robots = (subject >= 1) & (subject <= _LAST_ROBOT)
@@ -118,6 +121,8 @@ def _landmarks(folder: Path) -> tuple[LandmarkMap, dict[int, int], dict[int, int
     """Map of landmarks, subject of each barcode, and index of each subject that is a landmark."""
     barcodes = read_table(folder / "Barcodes.dat", ("subject", "barcode"))
     table = read_table(folder / "Landmark_Groundtruth.dat", ("subject", "x", "y", "x std-dev", "y std-dev"))
+    _require_whole(barcodes, folder / "Barcodes.dat")
+    _require_whole(table[:, :1], folder / "Landmark_Groundtruth.dat")
     table = table[table[:, 0] > _LAST_ROBOT]
     subjects = [int(s) for s in table[:, 0]]
     if not subjects:
@@ -126,7 +131,19 @@ def _landmarks(folder: Path) -> tuple[LandmarkMap, dict[int, int], dict[int, int
         )
     index_of = {subject: j for j, subject in enumerate(subjects)}
     subject_of = {int(barcode): int(subject) for subject, barcode in barcodes}
-    return LandmarkMap(table[:, 1:3], tuple(map(str, subjects))), subject_of, index_of
+    landmarks = landmark_map(table[:, 1:3], os.fspath(folder / "Landmark_Groundtruth.dat"), tuple(map(str, subjects)))
+    return landmarks, subject_of, index_of
+
+
+def _require_whole(numbers: Float, path: Path) -> None:
+    bad = np.argwhere((numbers != np.rint(numbers)) | (np.abs(numbers) > _GREATEST_NUMBER))
+    if len(bad):
+        row, column = (int(k) for k in bad[0])
+        fail(
+            os.fspath(path),
+            f"expected whole numbers of subjects and barcodes, got {numbers[row, column]:g} in data row {row}: "
+            "correct it",
+        )
 
 
 def _in_order(path: Path, columns: tuple[str, ...]) -> Float:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import os
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from pmcl.errors import LogError
+from pmcl.hdf5 import MOST_IN_GROUP, StoredArray, UnsafeFileError, stored_arrays
+from pmcl.logs.schema import MOST_NUMBERS
 from pmcl.logs.validation import fail
 
 __all__ = ["read_dataset", "write_dataset"]
+
 
 
 def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -30,7 +35,8 @@ def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     Raises
     ------
     LogError
-        When the file is missing, truncated or no NetCDF file.
+        When the file is missing, truncated or no NetCDF file, points to other files, or declares far more than it holds
+        or than a log may have.
     """
     where = os.fspath(path)
     if os.path.exists(path) and not os.path.isfile(path):
@@ -44,14 +50,42 @@ def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     except OSError as problem:
         fail(where, f"expected a readable NetCDF file, got '{problem.strerror}': check the path and its permissions")
     try:
+        _require_small(_sizes_in_classic_file(path) if classic else stored_arrays(path), where)
         with xr.open_dataset(
             path, engine="scipy" if classic else "h5netcdf", decode_times=False, decode_timedelta=False
         ) as dataset:
             return dataset.load()
-    except MemoryError:
+    except (LogError, MemoryError):
         raise
+    except UnsafeFileError as problem:
+        fail(where, f"expected a NetCDF file with its own data and no more, got {problem}: write it anew without that")
     except Exception as problem:  # HDF5 answers a damaged file with whatever its damaged bytes lead it to
         fail(where, f"expected a NetCDF file, got one that cannot be read ({problem}): write or copy it again")
+
+
+def _sizes_in_classic_file(path: str | os.PathLike[str]) -> dict[str, StoredArray]:
+    from scipy.io import netcdf_file
+
+    # Arrays are parts of the file that are mapped into memory: none is read here.
+    with netcdf_file(path, mmap=True) as file:
+        found = {f"/{name}": StoredArray(tuple(each.shape), 0) for name, each in file.variables.items()}
+        file.variables.clear()  # else they would keep the file open
+    if len(found) > MOST_IN_GROUP:
+        raise UnsafeFileError(f"{len(found)} variables, more than {MOST_IN_GROUP}")
+    return found
+
+
+def _require_small(stored: Mapping[str, StoredArray], where: str) -> None:
+    """Check that all variables together, also those outside the format, are no larger than a log may be."""
+    counts = {name: math.prod(array.shape) for name, array in stored.items()}
+    if sum(counts.values()) > MOST_NUMBERS:
+        name = max(counts, key=lambda each: counts[each])
+        shape = " x ".join(map(str, stored[name].shape))
+        fail(
+            where,
+            f"expected at most {MOST_NUMBERS} numbers in a log, got '{name}' of shape {shape}: cut the log into parts, "
+            "or leave out what it does not need",
+        )
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:

@@ -7,14 +7,16 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pmcl.errors import MapError
 from pmcl.logs.resample import hold_and_integrate, interpolate_poses, regular_times, sort_sightings
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import MOST_NUMBERS
 from pmcl.logs.validation import fail
 from pmcl.maps.landmarks import LandmarkMap
 
-__all__ = ["REFERENCE_START_STD", "LandmarkRecording", "resample_recording"]
+__all__ = ["REFERENCE_START_STD", "LandmarkRecording", "landmark_map", "resample_recording"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -57,6 +59,33 @@ class LandmarkRecording(NamedTuple):
     sensor_pose: Float
     pose_times: Float
     poses: Float
+
+
+def landmark_map(positions: ArrayLike, where: str, names: tuple[str, ...] = ()) -> LandmarkMap:
+    """Return the landmark map of a recording.
+
+    Parameters
+    ----------
+    positions : array_like, shape (J, 2)
+        Where each landmark stands [m].
+    where : str
+        File, for messages.
+    names : tuple of str, optional
+        One name for each landmark.
+
+    Returns
+    -------
+    LandmarkMap
+
+    Raises
+    ------
+    MapError
+        As :class:`~pmcl.maps.landmarks.LandmarkMap` raises it, beginning with the file.
+    """
+    try:
+        return LandmarkMap(np.asarray(positions), names)
+    except MapError as problem:
+        raise MapError(f"{where}: {problem}") from None
 
 
 def resample_recording(
@@ -108,7 +137,8 @@ def resample_recording(
     Raises
     ------
     LogError
-        When a setting is out of range, fewer than two samples remain, or the start has no reference pose.
+        When a setting is out of range, fewer than two or far too many samples remain, or the start has no reference
+        pose.
     """
     if start not in ("reference", "anywhere"):
         fail(where, f"expected start = 'reference' or 'anywhere', got {start!r}: choose one")
@@ -125,12 +155,19 @@ def resample_recording(
     clocks = [recording.hold_times, *([recording.pose_times] if has_reference else [])]
     origin, end = max(clock[0] for clock in clocks), min(clock[-1] for clock in clocks)
     last = min(end - origin, begin + (math.inf if duration is None else duration))
-    times = regular_times(begin, last, period)
+    times = regular_times(begin, last, period, where)
     if len(times) < 2:
         fail(
             where,
             f"expected at least two samples, got {len(times)} of period {period:g} s from {begin:g} s on in "
             f"{end - origin:.3f} s of recording: choose a shorter period, an earlier begin or a longer duration",
+        )
+    n_landmarks = len(recording.landmarks.positions)
+    if len(times) * n_landmarks > MOST_NUMBERS:
+        fail(
+            where,
+            f"expected at most {MOST_NUMBERS} cells for readings, got {len(times)} samples of {n_landmarks} landmarks: "
+            "choose a longer period or a shorter duration",
         )
     true_poses = None
     if has_reference:
@@ -141,7 +178,7 @@ def resample_recording(
         recording.reading_landmark,
         recording.reading_values,
         times,
-        len(recording.landmarks.positions),
+        n_landmarks,
         0.5 * period if max_offset is None else max_offset,
     )
     return RobotLog.build(

@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.geometry import compose, integrate_twist, wrap
+from pmcl.logs.schema import MOST_NUMBERS
+from pmcl.logs.validation import fail
 
 __all__ = ["Sightings", "hold_and_integrate", "interpolate_poses", "nearest_sample", "regular_times", "sort_sightings"]
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
+# Odometry alone has three numbers for each sample, and readings come to it.
+_MOST_SAMPLES = MOST_NUMBERS // 10
 # Clocks of one recording that mean the same instant differ by rounding only, far less than this [s].
 _SAME_INSTANT = 1e-6
 
@@ -43,7 +47,7 @@ class Sightings(NamedTuple):
     n_duplicate: int
 
 
-def regular_times(first: float, last: float, period: float) -> Float:
+def regular_times(first: float, last: float, period: float, where: str = "regular_times") -> Float:
     """Return regular sample times.
 
     Parameters
@@ -52,14 +56,29 @@ def regular_times(first: float, last: float, period: float) -> Float:
         First and greatest time [s].
     period : float
         Time between samples [s].
+    where : str
+        File or call, for messages.
 
     Returns
     -------
     ndarray, shape (T,)
         ``first, first + period, ...`` up to `last`; empty when `last` is before `first`.
+
+    Raises
+    ------
+    LogError
+        When there would be more samples than a log may have, or more than times can be told apart.
     """
+    with np.errstate(over="ignore"):
+        n_periods = (last - first) / period
+    if not n_periods < _MOST_SAMPLES or first + period == first:
+        fail(
+            where,
+            f"expected at most {_MOST_SAMPLES} samples, got {n_periods:.3g} periods of {period:g} s from {first:g} s "
+            f"to {last:g} s: choose a longer period, and check that times are in seconds",
+        )
     # A thousandth of a period forgives rounding in a last time that is meant to be on the grid.
-    count = int(np.floor((last - first) / period + 1e-3)) + 1
+    count = int(np.floor(n_periods + 1e-3)) + 1
     return first + period * np.arange(max(count, 0), dtype=np.float64)
 
 

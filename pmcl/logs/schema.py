@@ -14,6 +14,7 @@ from pmcl.registry import sensor_variables
 __all__ = [
     "FORMAT",
     "LABELS",
+    "MOST_NUMBERS",
     "REFERENCE",
     "Variable",
     "named",
@@ -23,6 +24,10 @@ __all__ = [
 ]
 
 FORMAT = "pmcl-log/1"
+
+MOST_NUMBERS = 20_000_000
+"""The greatest count of numbers in a log, NaN included. Each takes up to 50 bytes while a log is built and checked, so
+these take 1 GB."""
 
 
 class Variable(NamedTuple):

@@ -56,7 +56,7 @@ def row_times(period: float, *streams: ArrayLike) -> Float:
     Raises
     ------
     LogError
-        When the period is not positive, no stream is given, or fewer than two rows result.
+        When the period is not positive, no stream is given, or fewer than two or far too many rows result.
     """
     where = "row_times"
     if not 0.0 < period < np.inf:
@@ -65,7 +65,7 @@ def row_times(period: float, *streams: ArrayLike) -> Float:
         fail(where, "expected the times of at least one stream, got none: give those of the odometry")
     clocks = [clock_of(where, f"stream {k}", stream) for k, stream in enumerate(streams)]
     begin, end = max(float(clock[0]) for clock in clocks), min(float(clock[-1]) for clock in clocks)
-    times = regular_times(begin, end, period)
+    times = regular_times(begin, end, period, where)
     if len(times) < 2:
         fail(
             where,

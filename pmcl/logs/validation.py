@@ -47,7 +47,7 @@ def fail(where: str, message: str) -> NoReturn:
     LogError
         Always.
     """
-    raise LogError(" ".join(f"{where}: {message}".split()))
+    raise LogError(f"{where}: {message}")
 
 
 def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
@@ -76,8 +76,8 @@ def validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
     if not isinstance(dataset, xr.Dataset):
         fail(where, f"expected an xarray.Dataset, got {type(dataset).__name__}: read the file with RobotLog.read")
     stated = dataset.attrs.get("format")
-    if stated != FORMAT:
-        got = "none" if stated is None else repr(stated)
+    if not isinstance(stated, str) or stated != FORMAT:
+        got = "none" if stated is None else f"{stated!r:.60}"
         fail(where, f"expected a robot log with attribute format = {FORMAT!r}, got {got}: convert it with pmcl convert")
     dataset = _canonical(dataset, where)
     _check_time_and_odometry(dataset, where)
@@ -226,7 +226,7 @@ def _check_reference(dataset: xr.Dataset, where: str) -> None:
     text = dataset.attrs["true_theta"]
     try:
         theta = json.loads(text)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         theta = None
     if not isinstance(theta, dict) or not all(isinstance(value, int | float) for value in theta.values()):
         fail(where, f"expected attribute true_theta as JSON object of numbers, got {text!r:.80}: correct or remove it")

@@ -250,11 +250,12 @@ def _image_path(said: dict[str, Any], where: str) -> Path:
     image = file.parent / given
     try:
         inside = any(image.resolve().is_relative_to(folder) for folder in folders)
-    except (OSError, RuntimeError, ValueError):
-        inside = False
+        is_file = image.is_file()
+    except (OSError, RuntimeError, ValueError):  # a link in a circle, a name that is too long
+        inside = is_file = False
     if not inside:
         raise MapError(f"{where}: expected image in the folder of the YAML file or below, got {given:.100}: {advice}")
-    if not image.is_file():
+    if not is_file:
         raise MapError(f"{where}: expected the image {given:.100} in its folder, got no such file: copy it there")
     return image
 

@@ -35,7 +35,7 @@ from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_text import model_text
 from pmcl.models.motion import motions
 from pmcl.models.part import Part
-from pmcl.models.prior_file import prior_from_table
+from pmcl.models.prior_file import checked_number, prior_from_table
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensor import Sensor
 from pmcl.models.sensor import sensors as registered_sensors
@@ -45,6 +45,8 @@ __all__ = ["model_of_text", "model_text", "read_model"]
 
 _ANYWHERE = StartBelief(mean=(0.0, 0.0, 0.0), std=(np.inf, np.inf, np.inf))
 _FORMULA = "formula"
+# The longest model files, of robots with dozens of effects, have some 10 kB.
+_LONGEST_FILE = 1_000_000
 
 
 def read_model(path: str | os.PathLike[str], log: RobotLog) -> RobotModel:
@@ -116,7 +118,7 @@ def _model(where: str, content: dict[str, Any], log: RobotLog) -> RobotModel:
             where, f"fixed.{both[0]}", f"expected either a fixed value or a prior, but {both[0]} has both; remove one"
         )
     priors = {name: prior_from_table(where, known[name], table) for name, table in priors_given.items()}
-    fixed = {name: _number(where, f"fixed.{name}", value) for name, value in fixed_given.items()}
+    fixed = {name: checked_number(where, f"fixed.{name}", value) for name, value in fixed_given.items()}
     try:
         return RobotModel(motion, sensors, start, priors, fixed, effects)
     except ModelError as error:
@@ -126,16 +128,22 @@ def _model(where: str, content: dict[str, Any], log: RobotLog) -> RobotModel:
 def _load(where: str) -> dict[str, Any]:
     try:
         with open(where, "rb") as stream:
-            return _parsed(where, stream.read())
+            text = stream.read(_LONGEST_FILE + 1)
     except OSError as error:
         raise ModelError(f"{where}: expected a model file, but got '{error.strerror}'; check the path") from None
+    if len(text) > _LONGEST_FILE:
+        raise ModelError(
+            f"{where}: expected a model file, but got one of more than {_LONGEST_FILE} bytes; check that it is one"
+        )
+    return _parsed(where, text)
 
 
 def _parsed(where: str, text: str | bytes) -> dict[str, Any]:
     try:
         return tomllib.loads(text if isinstance(text, str) else text.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
+    # Texts nested without end exceed the parser's recursion; numbers of thousands of digits, Python's limit for them.
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:200]
         raise ModelError(
             f"{where}: expected a model file in TOML, but got one that cannot be read ({reason}); correct it"
         ) from None
@@ -169,12 +177,6 @@ def _table(where: str, key: str, content: Mapping[str, Any]) -> dict[str, Any]:
     return value
 
 
-def _number(where: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        _fail(where, key, f"expected a finite number, but got {value!r}; correct it")
-    return float(value)
-
-
 def _flag(where: str, key: str, value: Any) -> bool:
     if not isinstance(value, bool):
         _fail(where, key, f"expected true or false, but got {value!r}; correct it")
@@ -195,8 +197,15 @@ def _start(where: str, given: Any) -> StartBelief:
             )
         # inf is a number here: it stands for a component of which nothing is known.
         x, y, heading = (
-            np.inf if key == "std" and part == np.inf else _number(where, f"start.{key}", part) for part in value
+            np.inf if key == "std" and part == np.inf else checked_number(where, f"start.{key}", part) for part in value
         )
+        if key == "std" and min(x, y, heading) <= 0.0:
+            _fail(
+                where,
+                "start.std",
+                f"expected three positive standard deviations, but got {value!r}; a robot placed exactly still has, "
+                "say, 0.001",
+            )
         beliefs[key] = (x, y, heading)
     return StartBelief(beliefs.get("mean"), beliefs.get("std"))
 
@@ -233,7 +242,7 @@ def _sensor(where: str, name: str, kind: type[Sensor], given: dict[str, Any], lo
         elif value is None:
             values[setting] = None
         else:
-            values[setting] = _number(where, f"{key}.{setting}", value)
+            values[setting] = checked_number(where, f"{key}.{setting}", value)
             if values[setting] <= 0.0:
                 unit = field.metadata.get("comment", "a number")
                 _fail(where, f"{key}.{setting}", f"expected {unit} > 0, but got {values[setting]:g}; correct it")
@@ -261,7 +270,7 @@ def _effects(where: str, given: Any, log: RobotLog) -> tuple[Effect, ...]:
             if not isinstance(value, list) or not value:
                 _fail(where, f"effects.{key}", f"expected a list of numbers, but got {value!r}; write for example [2]")
             for number in value:
-                _number(where, f"effects.{key}", number)
+                checked_number(where, f"effects.{key}", number)
         try:
             effects.append(effect_named(table["name"], log, place))
         except ModelError as error:
@@ -278,7 +287,7 @@ def _formula(where: str, given: Mapping[str, Any], log: RobotLog) -> Effect:
     if coefficients is not None:
         coefficients = _texts(where, "effects.coefficients", coefficients, "formula_turn")
     constants = {
-        name: _number(where, f"effects.constants.{name}", value)
+        name: checked_number(where, f"effects.constants.{name}", value)
         for name, value in _table(where, "constants", given).items()
     }
     window = given.get("window")
@@ -286,7 +295,7 @@ def _formula(where: str, given: Mapping[str, Any], log: RobotLog) -> Effect:
         _fail(where, "effects.window", f"expected [begin, end] in seconds, but got {window!r}; correct it")
     name = None if given["name"] == _FORMULA else given["name"]
     try:
-        window = None if window is None else tuple(_number(where, "effects.window", time) for time in window)
+        window = None if window is None else tuple(checked_number(where, "effects.window", time) for time in window)
         change = Formula(carrier, terms, constants, window)
         # How large a coefficient can be depends on how large its term is: where the log tells, it decides the prior.
         values = [] if change.needs_path else change.values(log)

@@ -11,7 +11,32 @@ from scipy import stats
 from pmcl.errors import ModelError, did_you_mean
 from pmcl.models.parameters import Parameter, prior_support
 
-__all__ = ["prior_from_table", "prior_to_table"]
+__all__ = ["checked_number", "prior_from_table", "prior_to_table"]
+
+# The greatest number in a model file, without its sign. No parameter in SI units, no shape of a distribution and no
+# place comes near it; far beyond it, densities are no numbers any more.
+_GREATEST = 1.0e9
+
+# Between these quantiles lies half of a prior.
+_QUARTILES = (0.25, 0.75)
+
+
+def checked_number(where: str, key: str, value: Any) -> float:
+    """Return a number of a model file as a float; raises ModelError for anything else, and beyond the greatest one.
+
+    Parameters
+    ----------
+    where, key : str
+        File and key, for messages.
+    value : object
+        What stands there.
+    """
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if is_number and abs(value) <= _GREATEST:
+        return float(value)
+    # Whole numbers may be too large for a float.
+    expected = f"number within {_GREATEST:g}" if is_number and abs(value) < math.inf else "finite number"
+    _fail(where, key, f"expected a {expected}, but got {value!r:.60}; correct it")
 
 
 def prior_from_table(where: str, parameter: Parameter, table: Any) -> Any:
@@ -52,8 +77,7 @@ def prior_from_table(where: str, parameter: Parameter, table: Any) -> Any:
                 f"{key}.{argument}",
                 f"expected one of {', '.join(known)} for {family.name}, but got '{argument}'; {advice}",
             )
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            _fail(where, f"{key}.{argument}", f"expected a finite number, but got {value!r}; correct it")
+        checked_number(where, f"{key}.{argument}", value)
     missing = [shape for shape in shapes if shape not in arguments]
     if missing:
         _fail(
@@ -112,12 +136,20 @@ def _family(where: str, key: str, name: Any) -> stats.rv_continuous:
 def _checked(where: str, key: str, parameter: Parameter, prior: Any) -> Any:
     low, high = prior_support(prior)
     problem = ""
+    with np.errstate(all="ignore"):
+        quartiles = prior.ppf(_QUARTILES) if low < high else np.zeros(2)
+        density = prior.logpdf(0.5 * quartiles.sum()) if low < high else math.nan
     if not low < high:
         problem = f"expected arguments that {prior.dist.name} allows, but got {_in_words(prior)}; correct them"
     elif parameter.scales_noise and low < 0.0:
         problem = f"expected numbers >= 0, but {_in_words(prior)} reaches down to {low:g}; choose gamma or lognorm"
     elif parameter.role == "weight" and (low < 0.0 or high > 1.0):
         problem = f"expected numbers in [0, 1], but {_in_words(prior)} spans {low:g} to {high:g}; choose beta"
+    elif not (low < quartiles[0] < quartiles[1] < high and abs(quartiles).max() < _GREATEST and np.isfinite(density)):
+        problem = (
+            f"expected a prior that spreads over numbers within {_GREATEST:g}, but the quartiles of {_in_words(prior)} "
+            f"are {quartiles[0]:g} and {quartiles[1]:g}; choose other arguments"
+        )
     if problem:
         _fail(where, key, problem)
     return prior

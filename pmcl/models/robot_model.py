@@ -152,6 +152,8 @@ class _Slots:
         return bool((self.index < 0).any())
 
     def take(self, theta: Float) -> Float:
+        if not theta.size:
+            return self.value  # all are fixed
         return np.where(self.index >= 0, theta[self.index], self.value) if self.some_fixed else theta[self.index]
 
 

@@ -24,12 +24,16 @@ __all__ = [
     "parameter_draws",
     "parameter_names",
     "parameter_units",
+    "require_numbers",
     "theta_draws",
     "trajectory_draws",
     "true_theta",
 ]
 
 Float = NDArray[np.float64]
+
+# Far beyond all parameters in SI units; a double still tells numbers of this size apart well enough for pictures.
+_GREATEST = 1.0e12
 
 
 class LogContents(NamedTuple):
@@ -76,6 +80,31 @@ def parameter_names(data: Posterior) -> tuple[str, ...]:
             f"{posterior.sizes['draw']} draws: run the calibration with more draws"
         )
     return names
+
+
+def require_numbers(data: Posterior) -> None:
+    """Check that all draws of all parameters are finite numbers of possible size.
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+
+    Raises
+    ------
+    PosteriorError
+        If there are no draws, or with the first one that is no such number.
+    """
+    for name in parameter_names(data):
+        draws = find_group(data, "posterior")[name].values
+        if draws.dtype.kind not in "iufb":
+            raise PosteriorError(f"expected draws of {name} as numbers, got {draws.dtype}: run 'pmcl calibrate' again")
+        bad = np.argwhere(~(np.abs(draws.astype(np.float64)) <= _GREATEST))
+        if len(bad):
+            chain, draw = (int(k) for k in bad[0])
+            raise PosteriorError(
+                f"expected draws of {name} within {_GREATEST:g}, got {draws[chain, draw]:g} in draw {draw} of chain "
+                f"{chain}: run 'pmcl calibrate' again"
+            )
 
 
 def parameter_units(data: Posterior) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any, NamedTuple
 
+from pmcl.errors import PosteriorError
 from pmcl.posterior.compat import Posterior, attributes, find_group
 
 __all__ = ["Adequacy", "adequacy", "warnings_of_preflight"]
@@ -46,7 +47,7 @@ def adequacy(data: Posterior) -> Adequacy:
     """
     check = find_group(data, "predictive_check").attrs
     checked = "adequate" in check
-    findings: list[dict[str, Any]] = json.loads(str(check["findings"])) if checked else []
+    findings = _findings(check.get("findings"), "findings") if checked else ()
     warnings = warnings_of_preflight(data)
     mistakes = [str(warning["message"]).rstrip(".") for warning in warnings if warning.get("mistake")]
     advice = tuple(str(warning["message"]) for warning in warnings if not warning.get("mistake"))
@@ -82,8 +83,26 @@ def warnings_of_preflight(data: Posterior) -> tuple[dict[str, Any], ...]:
     -------
     tuple of dict
         Each with "name", "level", "mistake" (whether a named mistake explains the log better) and "message".
+
+    Raises
+    ------
+    PosteriorError
+        If the attribute ``preflight`` holds something else.
     """
-    return tuple(json.loads(str(attributes(data).get("preflight") or "[]")))
+    return _findings(attributes(data).get("preflight", ""), "preflight")
+
+
+def _findings(stated: Any, name: str) -> tuple[dict[str, Any], ...]:
+    """Read findings that a file holds as JSON."""
+    try:
+        found = json.loads(stated) if isinstance(stated, str) and stated else [] if isinstance(stated, str) else None
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, list) or not all(isinstance(each, dict) and "message" in each for each in found):
+        raise PosteriorError(
+            f"expected attribute {name} as JSON list of findings, got {stated!r:.60}: run 'pmcl calibrate' again"
+        )
+    return tuple(found)
 
 
 def _listed(sentences: list[str]) -> str:

@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from pmcl.errors import PosteriorError
+from pmcl.hdf5 import MOST_BYTES, UnsafeFileError, stored_arrays
 
 __all__ = [
     "Posterior",
@@ -187,9 +188,14 @@ def load_netcdf(path: str | PathLike[str]) -> Posterior:
 
     Raises
     ------
+    UnsafeFileError
+        If the file points to other files, or declares far more than it holds, see :mod:`pmcl.hdf5`.
     OSError, ValueError
         If the file cannot be read.
     """
+    n_bytes = sum(array.n_bytes for array in stored_arrays(path).values())
+    if n_bytes > MOST_BYTES:
+        raise UnsafeFileError(f"arrays of {n_bytes >> 20} MB, more than {MOST_BYTES >> 20} MB")
     # Loaded at once: a lazy dataset would keep the file open and fail far from here when it is damaged.
     if _uses_datatree():
         with xr.open_datatree(path, engine="h5netcdf") as tree:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from pmcl.checks import check_path
 from pmcl.errors import PosteriorError
-from pmcl.posterior.access import parameter_names
+from pmcl.hdf5 import UnsafeFileError
+from pmcl.posterior.access import parameter_names, require_numbers
 from pmcl.posterior.compat import Posterior, load_netcdf, save_netcdf
 
 __all__ = ["read_posterior", "replacing", "write_posterior"]
@@ -49,7 +50,8 @@ def read_posterior(path: str | os.PathLike[str]) -> Posterior:
     Raises
     ------
     PosteriorError
-        If the file is missing, damaged, not NetCDF, not a posterior, or holds no draws.
+        If the file is missing, damaged, not NetCDF, not a posterior, holds no draws or draws that are no
+        numbers, or points to other files.
     """
     path = Path(check_path("path", path, error=PosteriorError))
     if not path.is_file():
@@ -61,6 +63,11 @@ def read_posterior(path: str | os.PathLike[str]) -> Posterior:
         raise PosteriorError(f"expected a NetCDF posterior, got an empty file at {path}: run 'pmcl calibrate' again")
     try:
         data = load_netcdf(path)
+    except UnsafeFileError as error:
+        raise PosteriorError(
+            f"expected a posterior with its own data and no more, got {error} at {path}: ask for one that "
+            "'pmcl calibrate' wrote"
+        ) from None
     # The HDF5 stack raises nearly anything on damaged files: KeyError and RuntimeError besides OSError and ValueError.
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -69,7 +76,7 @@ def read_posterior(path: str | os.PathLike[str]) -> Posterior:
             "run 'pmcl calibrate' again"
         ) from error
     try:
-        parameter_names(data)
+        require_numbers(data)
     except PosteriorError as error:
         raise PosteriorError(f"{path}: {error}") from error
     return data

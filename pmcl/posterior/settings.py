@@ -76,6 +76,8 @@ def decode_setting(value: Any) -> Setting:
     str, int, float or bool
     """
     plain = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
+    if isinstance(plain, np.ndarray):
+        return str(plain)  # no setting of pmcl
     if plain in ("true", "false"):
         return bool(plain == "true")
     if isinstance(plain, str) and plain.removeprefix("-").isdecimal() and abs(int(plain)) > _LARGEST_INTEGER:

@@ -8,7 +8,9 @@ import os
 from typing import Any, NamedTuple
 
 import jinja2
+from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from pmcl.posterior.files import replacing
 from pmcl.reports.terms import explain_terms
@@ -73,8 +75,12 @@ def embedded(figure: Figure) -> str:
         A ``data:`` address of a PNG image.
     """
     buffer = io.BytesIO()
+    # Names come from files: a "$" in one begins no formula. Figures of this package have none.
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
     # The file holds neither version nor date, so that the same posterior gives the same file.
-    figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
+    with rc_context({"text.parse_math": False}):  # texts at ticks are made while the figure is drawn
+        figure.savefig(buffer, format="png", dpi=_DOTS_PER_INCH, metadata={"Software": None})
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 

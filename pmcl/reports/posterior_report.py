@@ -167,7 +167,7 @@ def _drawn(data: Posterior, figures: tuple[tuple[str, Callable[[Posterior], Figu
 
 
 def _of_log(logs: tuple[LogSummary, ...], number: int) -> str:
-    return "" if len(logs) == 1 else f"Log {number} of {len(logs)}: {logs[number].described}"
+    return "" if len(logs) <= max(number, 1) else f"Log {number} of {len(logs)}: {logs[number].described}"
 
 
 def _path_pictures(data: Posterior, logs: tuple[LogSummary, ...]) -> list[Picture]:

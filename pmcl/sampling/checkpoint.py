@@ -22,6 +22,7 @@ import h5py
 import numpy as np
 
 from pmcl.errors import SamplingError
+from pmcl.hdf5 import UnsafeFileError, stored_arrays
 from pmcl.models.effects.formula import Formula
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
@@ -213,6 +214,11 @@ class Checkpoint:
                 f"{self.path}: expected a checkpoint that can be read, but another program has it open; "
                 "wait until it is done, or close it"
             )
+        if isinstance(error, UnsafeFileError):
+            return SamplingError(
+                f"{self.path}: expected a checkpoint with its own data and no more, but got {reason[:200]}; "
+                "remove it to start anew"
+            )
         return SamplingError(
             f"{self.path}: expected an HDF5 checkpoint, but it cannot be read ({reason[:120]}); "
             "remove it to start anew"
@@ -220,6 +226,7 @@ class Checkpoint:
 
     def _check_run(self) -> None:
         try:
+            stored_arrays(self.path)
             with h5py.File(self.path, "r") as file:
                 found = str(file.attrs.get("pmcl_fingerprint", ""))
                 version = int(file.attrs.get("pmcl_checkpoint", 0))

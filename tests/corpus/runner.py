@@ -63,9 +63,17 @@ class Runner:
         self._process.wait(60)
         self._process.stdout.close()
 
+    def warm(self, *arguments: object) -> Outcome:
+        """Run a command line without limits, so that those that follow find imported and compiled what it needs."""
+        return self._asked(arguments, warm=True)
+
     def run(self, *arguments: object) -> Outcome:
         """Run one command line."""
-        request = {"arguments": [str(each) for each in arguments], "cpu_seconds": CPU_SECONDS, "memory": MEMORY}
+        return self._asked(arguments, warm=False)
+
+    def _asked(self, arguments: tuple[object, ...], *, warm: bool) -> Outcome:
+        request = {"arguments": [str(each) for each in arguments], "cpu_seconds": CPU_SECONDS, "memory": MEMORY,
+                   "warm": warm}  # fmt: skip
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
         return Outcome(**json.loads(self._process.stdout.readline()))

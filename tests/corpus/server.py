@@ -1,7 +1,7 @@
 """Runs command lines one after the other, each in a forked process with limits on CPU time and memory.
 
-Reads one JSON object a line from stdin (``arguments``, ``cpu_seconds``, ``memory``) and answers with one on stdout.
-Everything is imported before the first command, so that a fork is all that a command costs; the process has one
+Reads one JSON object a line from stdin (``arguments``, ``cpu_seconds``, ``memory``, ``warm``) and answers with one on
+stdout. Everything is imported before the first command, so that a fork is all that a command costs; the process has one
 thread, so that a fork is safe. :mod:`corpus.runner` starts it.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import signal
 import sys
 import tempfile
 
@@ -17,6 +18,9 @@ os.environ.setdefault("PMCL_COMPILE_AHEAD", "0")
 # A thread of another library would make forking unsafe, and its memory would count for each command.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
+
+# The longest time that passes while a command runs, relative to its CPU time.
+_WAITS = 10
 
 _IMPORTED = (
     "pmcl.calibration.workflow", "pmcl.exports.export", "pmcl.identifiability.workflow", "pmcl.localization.offline",
@@ -42,6 +46,8 @@ def _run(request, answer):
     seconds = int(request["cpu_seconds"])
     # At the soft limit SIGXCPU ends the process; Python installs no handler for it.
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    # A process that waits takes no CPU time; on a busy machine one that computes waits as well.
+    signal.alarm(_WAITS * seconds)
     addresses, resident = _sizes()
     most = addresses + int(request["memory"])
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -56,6 +62,17 @@ def _run(request, answer):
     found["resident"] = resident
     with os.fdopen(answer, "w", encoding="utf-8") as stream:
         json.dump(found, stream)
+
+
+def _warm(request):
+    """Run a command in this process: what it imports and compiles is then there in every fork."""
+    from click.testing import CliRunner
+
+    from pmcl.cli.commands import pmcl as application
+
+    result = CliRunner().invoke(application, request["arguments"])
+    found = {"status": result.exit_code, "stdout": result.stdout, "stderr": result.stderr}
+    return {**found, "crash": repr(result.exception), "signal": 0, "noise": "", "cpu": 0.0, "peak": 0}
 
 
 def _serve(request):
@@ -97,7 +114,8 @@ def main():
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     for line in sys.stdin:
-        channel.write(json.dumps(_serve(json.loads(line))) + "\n")
+        request = json.loads(line)
+        channel.write(json.dumps((_warm if request["warm"] else _serve)(request)) + "\n")
         channel.flush()
 
 

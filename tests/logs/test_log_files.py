@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
 
 from pmcl.errors import LogError
+from pmcl.logs import netcdf
 from pmcl.logs.netcdf import read_dataset
 from pmcl.logs.robot_log import RobotLog
 
@@ -88,6 +90,32 @@ def test_a_missing_file_and_a_folder_are_one_line(tmp_path):
             RobotLog.read(path)
         assert str(caught.value).startswith(f"{path}: ")
         assert "\n" not in str(caught.value)
+
+
+def test_numbers_that_no_log_needs_are_not_loaded(log, tmp_path):
+    """Neither those of a variable that is no part of the format: 4 GB that take no room on disk."""
+    path = tmp_path / "log.nc"
+    log.write(path)
+    with h5py.File(path, "r+") as file:
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+        space = h5py.h5s.create_simple((500_000_000,))
+        h5py.h5d.create(file.id, b"foreign", h5py.h5t.NATIVE_DOUBLE, space, dcpl=properties)
+    with pytest.raises(LogError, match="at most 20000000 numbers in a log, got '/foreign' of shape 500000000"):
+        RobotLog.read(path)
+
+
+def test_classic_files_have_the_same_limits(log, tmp_path, monkeypatch):
+    path = tmp_path / "classic.nc"
+    log.dataset.to_netcdf(path, engine="scipy", format="NETCDF3_64BIT")
+    monkeypatch.setattr(netcdf, "MOST_NUMBERS", 30)
+    with pytest.raises(LogError, match="at most 30 numbers in a log, got '/"):
+        RobotLog.read(path)
+    monkeypatch.setattr(netcdf, "MOST_NUMBERS", 10_000)
+    monkeypatch.setattr(netcdf, "MOST_IN_GROUP", 3)
+    with pytest.raises(LogError, match="variables, more than 3"):
+        RobotLog.read(path)
 
 
 def test_another_netcdf_file_is_no_log(tmp_path):

@@ -103,6 +103,8 @@ BAD = {
     ),
     "no beam poses": (drop("beam_pose"), LogError, "'beam_pose' .* beside 'range', got none"),
     "NaN beam pose": (put("beam_pose", (1, 2), np.nan), LogError, r"finite 'beam_pose' .* got nan at \[1, 2\]"),
+    "format of two numbers": (lambda d: d.assign_attrs(format=[1, 2]), LogError, r"'pmcl-log/1', got \[1, 2\]"),
+    "truth nested without end": (lambda d: d.assign_attrs(true_theta="[" * 99_999), LogError, "JSON object of numbers"),
     "odometry beyond the earth": (
         put("odometry", (2, 0), 1e308),
         LogError,

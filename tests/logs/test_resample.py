@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from pmcl.errors import LogError
 from pmcl.geometry import compose, integrate_twist
 from pmcl.logs.resample import hold_and_integrate, interpolate_poses, nearest_sample, regular_times, sort_sightings
 
@@ -15,6 +16,17 @@ def test_regular_times_reach_a_last_time_that_is_on_the_grid():
     np.testing.assert_allclose(regular_times(0.0, 0.3, 0.1), [0.0, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(regular_times(2.0, 2.99, 0.5), [2.0, 2.5])
     assert len(regular_times(1.0, 0.0, 0.5)) == 0
+
+
+@pytest.mark.parametrize(("last", "period"), [(10.0, 1e-9), (1e300, 0.5), (10.0, 1e-300), (1.7e18, 0.5)])
+def test_more_samples_than_a_log_may_have_are_refused(last, period):
+    with pytest.raises(LogError, match=r"recording: expected at most 2000000 samples, got .* choose a longer period"):
+        regular_times(0.0, last, period, "recording")
+
+
+def test_times_that_a_period_does_not_tell_apart_are_refused():
+    with pytest.raises(LogError, match="choose a longer period, and check that times are in seconds"):
+        regular_times(1.7e18, 1.7e18 + 512.0, 0.5)
 
 
 def test_a_held_velocity_runs_along_its_arc():

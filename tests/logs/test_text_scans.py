@@ -172,9 +172,9 @@ def test_a_packed_text_that_goes_on(write, monkeypatch, read, limit, value):
 def test_more_readings_than_fit_into_memory(write, monkeypatch, read):
     wean = [f"L {30 * k} 0 0 {30 * k} 0 0 {' '.join(['100'] * 180)} {k}" for k in range(5)]
     path = write(flaser() if read is read_carmen else wean)
-    monkeypatch.setattr(lidar_recording, "_MOST_READINGS_OF_LOG", 5 * 180)
+    monkeypatch.setattr(lidar_recording, "MOST_NUMBERS", 5 * 180)
     assert read(path, **ALL).n_steps == 5
-    monkeypatch.setattr(lidar_recording, "_MOST_READINGS_OF_LOG", 5 * 180 - 1)
+    monkeypatch.setattr(lidar_recording, "MOST_NUMBERS", 5 * 180 - 1)
     with pytest.raises(LogError, match="expected at most 899 readings in a log, got 900 in 5 rows"):
         read(path, **ALL)
     monkeypatch.setattr(lidar_recording, "_MOST_READINGS", 899)

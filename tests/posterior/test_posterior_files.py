@@ -175,3 +175,13 @@ def test_what_is_no_posterior_is_not_written(tmp_path):
     with pytest.raises(PosteriorError, match="InferenceData or DataTree"):
         write_posterior({"posterior": 1}, tmp_path / "p.nc")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e308])
+def test_draws_that_are_no_numbers_are_refused(data, written, wrong, tmp_path):
+    name = parameter_names(data)[0]
+    changed = find_group(data, "posterior").copy(deep=True)
+    changed[name].values[0, 3] = wrong
+    write_posterior(assemble({"posterior": changed}, {}), tmp_path / "wrong.nc")
+    with pytest.raises(PosteriorError, match=rf"wrong.nc: expected draws of {name} within .* in draw 3 of chain 0"):
+        read_posterior(tmp_path / "wrong.nc")

@@ -288,3 +288,18 @@ def test_the_page_names_the_file_of_the_log_without_its_folder(report_case):
     assert summary.robot == "robot-log0"
     assert summary.described == "monday.nc; made up; 60 rows over 30 s, 239 readings"
     assert summary.has_truth
+
+
+def test_dollars_in_names_begin_no_formula(report_data, tmp_path):
+    """Names of parameters come from files; a picture of the page shows them as they are."""
+    name = "sigma_$x_{$"
+    groups = {group: find_group(report_data, group) for group in group_names(report_data)}
+    groups |= {group: groups[group].rename({SPREADS[0]: name}) for group in groups if SPREADS[0] in groups[group]}
+    write_report(assemble(groups, {}), tmp_path / "page.html")
+    assert name in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize("stated", ["{", "[1, 2]", "[" * 99_999, [1, 2], '[{"name": "units"}]'])
+def test_warnings_that_are_none_are_told(report_data, stated):
+    with pytest.raises(PosteriorError, match="expected attribute preflight as JSON list of findings"):
+        verdict(extended(report_data, {}, {"preflight": stated}))

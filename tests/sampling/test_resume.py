@@ -221,6 +221,24 @@ def test_a_truncated_checkpoint_is_refused_in_one_line(rail, finished, share, tm
     assert path.read_bytes() == before
 
 
+def to_another_file(file):
+    file["main/other"] = h5py.ExternalLink("/etc/hostname", "/x")
+
+
+def of_another_file(file):
+    file.create_dataset("main/other", (4,), "u1", external=[("/etc/hostname", 0, 4)])
+
+
+@pytest.mark.parametrize("change", [to_another_file, of_another_file])
+def test_a_checkpoint_that_points_to_other_files_is_refused(rail, finished, change, tmp_path):
+    path = tmp_path / "run.h5"
+    path.write_bytes(Path(finished).read_bytes())
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(SamplingError, match=r"with its own data and no more, .* '/etc/hostname'; remove it"):
+        run(rail, checkpoint=str(path), resume=True)
+
+
 def test_a_locked_checkpoint_is_refused_in_one_line(rail, finished):
     with open(finished, "rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)

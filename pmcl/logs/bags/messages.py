@@ -195,7 +195,9 @@ def _typestore(is_ros1: bool) -> Typestore:
 def _limited(reader: Any, is_ros1: bool, chunks: Mapping[Path, Mapping[int, Chunk]]) -> Callable[[bytes], bytes]:
     """Let an open reader unpack nothing that is too large; return what unpacks each of its messages."""
     if is_ros1:
-        limit_chunks_of_ros1(reader)
+        from rosbags.rosbag1.reader import decompressors
+
+        limit_chunks_of_ros1(reader, decompressors)
         return bytes
     for storage in getattr(reader.storage, "storages", [reader.storage]):
         if storage.path.suffix == ".mcap":

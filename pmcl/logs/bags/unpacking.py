@@ -112,16 +112,16 @@ def check_packed_file(path: Path) -> None:
         raise ValueError(f"a file of {path.stat().st_size} bytes that says it becomes {size} bytes")
 
 
-def limit_chunks_of_ros1(reader: Any) -> None:
+def limit_chunks_of_ros1(reader: Any, decompressors: Mapping[str, Any]) -> None:
     """Let an open reader of a ROS 1 bag unpack its chunks by :func:`unpacked`.
 
     Parameters
     ----------
     reader : rosbags.rosbag1.Reader
         Its chunks are changed.
+    decompressors : mapping of str to callable
+        The functions that it would use, by method.
     """
-    from rosbags.rosbag1.reader import decompressors
-
     bounded = {decompressors[method]: partial(unpacked, method) for method in ("bz2", "lz4")}
     for position, chunk in reader.chunks.items():
         # A chunk that is not compressed stays as it is.

@@ -223,7 +223,7 @@ class Effect:
             )
         whole = all(value == int(value) for place in offered for values in place.values() for value in values)
         # A beam or landmark that this log has but never read is a place, too: a model may come from another log.
-        held = all(0 <= value < _count(log, key) for key, values in plain.items() for value in values)
+        held = all(value in range(_count(log, key)) for key, values in plain.items() for value in values)
         if whole and not held and not any(all(tuple(place[key]) == plain[key] for key in plain) for place in offered):
             raise ModelError(
                 f"{log.where}: effect {self.name} expected one of the {len(offered)} places that the log has, but got "

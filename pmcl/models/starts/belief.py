@@ -46,8 +46,8 @@ class StartBelief:
             )
         if np.isinf(std[0]) != np.isinf(std[1]):
             raise ModelError(
-                f"{log.where}: the start is unknown in x or y alone (standard deviations {std.tolist()}); "
-                "make both finite, or both inf for anywhere on the map"
+                f"{log.where}: expected a start that is known in x and y, or in neither, but got the standard "
+                f"deviations {std.tolist()}; make both finite, or both inf for anywhere on the map"
             )
         if np.isfinite(std).all():
             return BoundStart(GaussianStart(mean, std))
