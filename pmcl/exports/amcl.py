@@ -217,6 +217,7 @@ def _field_lines(calibration: Calibration, consumer: Consumer, laser: Laser) -> 
         Line("laser_model_type", "likelihood_field_prob", "the only model that multiplies the beams"),
         Line("do_beamskip", False, "beam skipping is no likelihood") if not consumer.normalised else None,
         *(_of_pmcl(name, spread, calibration) for name, spread in told.items()),
+        *_cells(calibration),
         *_tempering(exponent, found.deviation, laser.beams, consumer),
     ]
     for name in ("z_hit", "z_rand", "sigma_hit"):
@@ -241,6 +242,17 @@ def _field_lines(calibration: Calibration, consumer: Consumer, laser: Laser) -> 
 
 def _of_pmcl(name: str, spread: Spread, calibration: Calibration) -> Line:
     return Line("", None, f"posterior of {name}: {described(spread, calibration.units.get(name, '1'))}")
+
+
+def _cells(calibration: Calibration) -> Sequence[Line]:
+    if not calibration.resolution:
+        return []
+    hidden = cell_noise(calibration.resolution)
+    whole = math.hypot(calibration.theta["sigma_hit"], hidden)
+    return [
+        Line("", None, f"the map's cells of {calibration.resolution:g} m hide another {hidden:.3g} m: together the "
+             f"noise of a hit is {whole:.3g} m")
+    ]  # fmt: skip
 
 
 def _tempering(exponent: float, deviation: float, beams: int, consumer: Consumer) -> Sequence[Line]:

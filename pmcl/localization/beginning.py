@@ -44,7 +44,7 @@ def with_found_start(
     """Return a log with the belief about its first pose that a whole track gives, so that it can be calibrated.
 
     A filter that begins anywhere on a map knows where the robot is after some rows, not where it began. So a second
-    filter runs over the log backwards, from where the track ended to the first row.
+    filter runs over the log backwards, to the first row, from the last one at which the track knows the place.
 
     Parameters
     ----------
@@ -64,31 +64,34 @@ def with_found_start(
     Raises
     ------
     FilterError
-        When the track does not end at a known place, or the backward filter loses the robot.
+        When the track never knows the place within 1 m and 0.3 rad, or the backward filter loses the robot.
     """
-    std = np.sqrt(np.diagonal(track.pose_cov[-1]))
-    if not (std[:2].max() <= _KNOWN_PLACE and std[2] <= _KNOWN_HEADING):
+    std = np.sqrt(np.diagonal(track.pose_cov, axis1=1, axis2=2))
+    known = np.flatnonzero((std[:, :2].max(axis=1) <= _KNOWN_PLACE) & (std[:, 2] <= _KNOWN_HEADING))
+    if not known.size:
+        x, y, heading = std[-1]
         raise FilterError(
-            f"{log.where}: expected a track that ends at a known place, to look from there for where the robot began, "
-            f"but it ends with standard deviations of {std[0]:.2g} m, {std[1]:.2g} m and {std[2]:.2g} rad; "
-            "use more particles, recovery, or a longer log"
+            f"{log.where}: expected a track that gets to a known place, to look from there for where the robot began, "
+            f"but it ends with standard deviations of {x:.2g} m, {y:.2g} m and {heading:.2g} rad; use more particles, "
+            "recovery, or a longer log"
         )
+    last = int(known[-1])
     model = replace(default_model(log) if model is None else model, start=StartBelief())
     backward = localize(
-        _backwards(log, track.pose_mean[-1], np.maximum(std, _LEAST_STD)), model, posterior, method,
+        _backwards(log, last, track.pose_mean[last], np.maximum(std[last], _LEAST_STD)), model, posterior, method,
         theta=theta, particles=particles, seed=seed, options=FilterOptions(),
     )  # fmt: skip
     found = np.maximum(_WIDER * np.sqrt(np.diagonal(backward.pose_cov[-1])), _LEAST_STD)
     return log.select(0, log.n_steps, start_mean=backward.pose_mean[-1], start_std=found)
 
 
-def _backwards(log: RobotLog, start_mean: Float, start_std: Float) -> RobotLog:
-    """Return the log of a robot that drives the same way back, and reads the same at the same places."""
-    dataset = log.without_truth().dataset.isel(time=slice(None, None, -1))
-    steps = np.zeros((log.n_steps, 3))
-    steps[1:] = inverse(log.odometry[:0:-1])
-    times = log.times[-1] - log.times[::-1]
+def _backwards(log: RobotLog, last: int, start_mean: Float, start_std: Float) -> RobotLog:
+    """Return the log of a robot that drives the same way back from a row, and reads the same at the same places."""
+    dataset = log.without_truth().dataset.isel(time=slice(last, None, -1))
+    steps = np.zeros((last + 1, 3))
+    steps[1:] = inverse(log.odometry[last:0:-1])
+    times = log.times[last] - log.times[last::-1]
     odometry = dataset["odometry"].copy(data=steps)
     dataset = dataset.assign(odometry=odometry).assign_coords(time=("time", times, dataset["time"].attrs))
     whole = RobotLog.trusted(dataset, f"{log.where} backwards", log.grid_map)
-    return whole.select(0, log.n_steps, start_mean=start_mean, start_std=start_std)
+    return whole.select(0, last + 1, start_mean=start_mean, start_std=start_std)

@@ -225,3 +225,22 @@ def test_products_suit_independent_beams_and_are_too_sure_where_the_map_is_wrong
     # Nearly all of nav2's default belief is width.
     assert mean[wrong + cubes + ("coverage_95",)] > 0.99
     assert mean[right + cubes + ("position_rmse",)] > 2.0 * mean[right + many + ("position_rmse",)]
+
+
+@pytest.mark.slow
+def test_a_robot_in_wean_hall_is_found_with_many_particles_and_better_foreseen_once_calibrated(small, shared_data):
+    folder = small("wean_hall")
+    found = {
+        int(density): np.mean([
+            int(row["found"]) for row in read(folder / "starts.csv")
+            if row["recording"] == "1" and row["per_square_metre"] == density
+        ])
+        for density in ("2", "50")
+    }  # fmt: skip
+    assert found[50] == 1.0 > found[2]
+    scores = read(folder / "scores.csv")
+    mean = {
+        choice: np.mean([float(row["log_score_per_row"]) for row in scores if row["choice"] == choice])
+        for choice in ("nav2", "hand", "prior", "calibrated")
+    }
+    assert max(mean, key=mean.get) == "calibrated"

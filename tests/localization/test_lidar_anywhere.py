@@ -93,10 +93,10 @@ def test_where_a_log_began_is_found_from_its_end(room, seed):
     )
 
 
-def test_a_track_that_ends_nowhere_tells_no_start(room):
+def test_a_track_that_never_knows_the_place_tells_no_start(room):
     log = room.select(20, 22)
     track = pmcl.localize(log, default_model(log), method="prior", options=FilterOptions(annealed=False))
-    with pytest.raises(FilterError, match="expected a track that ends at a known place"):
+    with pytest.raises(FilterError, match="expected a track that gets to a known place"):
         with_found_start(log, track, method="prior")
 
 
