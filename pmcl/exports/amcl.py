@@ -231,6 +231,12 @@ def _field_lines(calibration: Calibration, consumer: Consumer, laser: Laser) -> 
         Line("", None, f"{consumer.program} weighs a reading that ends off the map {off_map}; pmcl goes on measuring "
              f"distances there. Where walls are at the edge of the map's image, add {reach:g} m of unknown cells to it")
     )  # fmt: skip
+    if not consumer.normalised and calibration.resolution:
+        # MAP_GXWX of nav2 and ROS 1 adds half a cell to a position whose origin is a cell's corner.
+        lines.append(
+            Line("", None, f"{consumer.program} takes the corner of a cell for its centre: the poses that it finds are "
+                 f"{0.5 * calibration.resolution:g} m too small in x and in y")
+        )  # fmt: skip
     least = laser.beams * math.log(found.z_rand / laser.max_range) if found.z_rand > 0.0 else 0.0
     if not consumer.normalised and least < _LEAST_LOG_WEIGHT:
         lines.append(

@@ -69,6 +69,7 @@ def draws_of_text(text):
     return draws_of(pmcl.RobotLog.from_dataset(rounded, grid_map=log.grid_map))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
 def test_a_bag_of_the_recording_gives_its_log_and_its_posterior(kind, recorded, text, draws_of_text, tmp_path):
     path = text.with_name(f"{kind}.nc")

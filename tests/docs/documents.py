@@ -25,6 +25,7 @@ SHORTER = (
     ("pmcl criticize robot1.nc", "pmcl criticize robot1.nc --no-joint"),
     ("pmcl criticize steered.nc", "pmcl criticize steered.nc --no-joint"),
     ("pmcl calibrate first.nc", "pmcl calibrate first.nc --draws 100"),
+    ("pmcl calibrate started.nc --particles 100 --draws 2500", "pmcl calibrate started.nc --draws 20 --chains 2"),
     ("pmcl calibrate jarvis1.nc", "pmcl calibrate jarvis1.nc --draws 20 --chains 2"),
     ("-o steered.nc", "--duration 300 -o steered.nc"),
 )

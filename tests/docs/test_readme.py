@@ -90,7 +90,7 @@ def _run(line: str, folder: Path) -> None:
 
 
 def _written(line: str) -> set[str]:
-    return set(re.findall(r"(?:-o|--json|--tum|--save-model|>) (\S+)", line))
+    return set(re.findall(r"(?:-o|--json|--tum|--started-log|--save-model|>) (\S+)", line))
 
 
 # What the README's commands read: names of files and folders, and where they are among the recorded data.
@@ -99,6 +99,8 @@ RECORDINGS = {
     "jarvis_complex_path_fast.bag": "jarvis/jarvis_complex_path_fast.bag",
     "i-108_10mm.yaml": "jarvis/i-108_10mm.yaml",
     "i-108_10mm.pgm": "jarvis/i-108_10mm.pgm",
+    "robotdata1.log": "wean/robotdata1.log",
+    "wean.dat.gz": "wean/wean.dat.gz",
 }
 
 

@@ -26,6 +26,8 @@ LEVELS = {
     "usual noise": {"sigma_forward": 0.05, "sigma_left": 0.03, "sigma_turn": 0.05, "sigma_range": 0.1},
     "sharp readings": {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.03, "sigma_range": 0.02},
 }
+# The harder of the two is always tested.
+EACH_LEVEL = [pytest.param("usual noise", marks=pytest.mark.slow), "sharp readings"]
 
 
 def converged_at(track, log):
@@ -66,6 +68,7 @@ def test_annealing_gives_belief_and_evidence_of_a_sharp_reading():
     assert variances.mean() == pytest.approx(std**2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_annealing_agrees_with_many_plain_particles(room_log, theta):
     """Somewhere in the room: the same evidence and the same belief as by drawing a hundred times as many poses."""
     start = room_log.select(0, 2, start_mean=np.zeros(3), start_std=np.full(3, np.inf))
@@ -120,7 +123,7 @@ def global_starts(theta, count):
         yield drives[k % 5].select(row, row + 60)
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", EACH_LEVEL)
 def test_global_starts_converge(level, capsys):
     """The particle number that the documentation recommends for a start anywhere is the default, 500."""
     theta = LEVELS[level]
@@ -171,7 +174,7 @@ def carried_away(theta, seed, rows=40):
     )
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", EACH_LEVEL)
 def test_a_robot_that_was_carried_away_is_found_again(level):
     theta, late, lost = LEVELS[level], [], 0
     for seed in range(20):

@@ -45,7 +45,8 @@ def rich(room_log, theta):
     return log, model, theta_of(log, model, theta)
 
 
-@pytest.mark.parametrize("method", ["mean", pytest.param("posterior", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["mean", "posterior"])
 def test_online_is_offline_with_states_and_readings_that_look_back(rich, method):
     log, model, values = rich
     data = around(values, 0.1)
@@ -103,6 +104,7 @@ def test_effects_of_the_whole_log_do_not_run_online(room_log, theta):
         OnlineLocalizer(room_log, model, theta=values)
 
 
+@pytest.mark.slow
 def test_a_formula_of_the_pose_helps_where_it_is_true_and_needs_a_whole_log():
     """Ranges err by the direction of the beam in the world; the filter is told so by a formula."""
     noise = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.03}

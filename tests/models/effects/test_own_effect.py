@@ -31,6 +31,7 @@ def documented():
     return scope
 
 
+@pytest.mark.slow
 def test_the_documented_effect_can_be_simulated_and_calibrated():
     scope = documented()
     effect, model = scope["torque_steer"], scope["model"]

@@ -53,6 +53,7 @@ def quantiles(name, exponent=1.0):
     return np.array([quantile_of_truth(sensor, seed, parameter, truth, exponent) for seed, truth in enumerate(truths)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sigma_hit", "z_rand", "z_short", "z_max"])
 def test_intervals_of_independent_beams_hold(name):
     found = quantiles(name)
@@ -61,6 +62,7 @@ def test_intervals_of_independent_beams_hold(name):
     assert 9 <= np.count_nonzero((found < 0.25) | (found > 0.75)) <= 31
 
 
+@pytest.mark.slow
 def test_tempered_intervals_of_independent_beams_are_wider():
     """The negative control: readings that count less make intervals too wide where beams are independent."""
     found = quantiles("sigma_hit", exponent=2 / 20)

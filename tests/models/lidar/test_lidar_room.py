@@ -179,14 +179,20 @@ def test_effects_of_beams_are_not_offered(log):
     assert not {"beam-bias", "short-readings", "wall-moved", "range-is-depth"} & offered
 
 
+def test_calibration_needs_the_map(log, tmp_path):
+    log.with_map(None).write(tmp_path / "log.nc")
+    arguments = ["calibrate", str(tmp_path / "log.nc"), "-o", str(tmp_path / "posterior.nc")]
+    result = CliRunner().invoke(application, arguments)
+    assert result.exit_code == 2
+    assert "give one with --map MAP.yaml" in result.stderr
+
+
+@pytest.mark.slow
 def test_calibration_from_the_command_line(log, tmp_path):
     log.with_map(None).write(tmp_path / "log.nc")
     log.grid_map.write(tmp_path / "room.yaml")
     out = tmp_path / "posterior.nc"
     arguments = ["calibrate", str(tmp_path / "log.nc"), "-o", str(out), "--draws", "60", "--chains", "2"]
-    result = CliRunner().invoke(application, arguments)
-    assert result.exit_code == 2
-    assert "give one with --map MAP.yaml" in result.stderr
     result = CliRunner().invoke(application, [*arguments, "--map", str(tmp_path / "room.yaml")])
     assert result.exit_code in (0, 3, 4), result.output
     posterior = pmcl.read_posterior(out)
