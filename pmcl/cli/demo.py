@@ -42,10 +42,11 @@ def demo(ctx: click.Context, folder: Path, seed: int, no_progress: bool) -> None
     Exit status as of 'pmcl calibrate'.
     """
     from pmcl.calibration.workflow import calibrate
-    from pmcl.posterior.files import replacing, write_posterior
+    from pmcl.posterior.files import write_posterior
     from pmcl.reports.figures import plot_pair
     from pmcl.reports.posterior_report import write_report
     from pmcl.simulations.amigobot import simulate_amigobot
+    from pmcl.whole_file import replacing
 
     paths = {kind: folder / name for kind, name in _FILES.items()}
     on_interrupt(ctx, f"of {', '.join(_FILES.values())} only those named above were written")

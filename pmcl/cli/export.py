@@ -42,7 +42,8 @@ def export(
     protect_inputs(ctx, output, [posterior])
 
     from pmcl.exports.export import export_text
-    from pmcl.posterior.files import read_posterior, replacing
+    from pmcl.posterior.files import read_posterior
+    from pmcl.whole_file import replacing
 
     data = read_posterior(posterior)
     try:

@@ -20,7 +20,7 @@ from pmcl.errors import PmclError
 from pmcl.exports.end_points import end_points
 from pmcl.localization.track import Track
 from pmcl.logs.robot_log import RobotLog
-from pmcl.posterior.files import replacing
+from pmcl.whole_file import replacing
 
 __all__ = ["require_mcap", "write_mcap"]
 

@@ -18,7 +18,7 @@ from pmcl.hdf5 import stored_arrays
 from pmcl.localization.metrics import coverage, nees, pose_errors, rmse
 from pmcl.localization.setup import Prepared
 from pmcl.localization.tum import write_tum
-from pmcl.posterior.files import replacing
+from pmcl.whole_file import replacing
 
 __all__ = ["Track"]
 
@@ -92,7 +92,7 @@ class Track:
         """Write a NetCDF file, all or nothing; raises PosteriorError when it cannot."""
         encoding = {str(name): {"_FillValue": None} for name in self.dataset.variables if name != "pose"}
         encoding = {name: value for name, value in encoding.items() if self.dataset[name].dtype.kind == "f"}
-        with replacing(path) as temporary:
+        with replacing(path, n_bytes=self.dataset.nbytes) as temporary:
             self.dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
     @classmethod

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmcl.errors import PmclError
-from pmcl.posterior.files import replacing
+from pmcl.whole_file import replacing
 
 __all__ = ["write_tum"]
 

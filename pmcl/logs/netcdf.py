@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from pmcl.errors import LogError
 from pmcl.hdf5 import MOST_IN_GROUP, StoredArray, UnsafeFileError, stored_arrays
 from pmcl.logs.schema import MOST_NUMBERS
 from pmcl.logs.validation import fail
+from pmcl.whole_file import replacing
 
 __all__ = ["read_dataset", "write_dataset"]
 
@@ -111,21 +111,18 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
         fail(os.fspath(path), "expected a path in an existing folder, got none there: create the folder")
     if target.is_dir():
         fail(os.fspath(path), "expected the path of a file, got a folder: add a file name")
-    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     # Without a fill value NaN is stored as the NaN that it is.
     encoding = {str(name): {"_FillValue": None} for name in dataset.variables if _is_float(dataset[name])}
     try:
-        dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
-        with open(part, "rb") as stream:
-            os.fsync(stream.fileno())
-        os.replace(part, target)
-    except (OSError, TypeError, ValueError) as problem:
+        with replacing(path, n_bytes=dataset.nbytes, error=LogError) as part:
+            dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+    except (TypeError, ValueError) as problem:
+        if isinstance(problem, LogError):
+            raise
         text = " ".join(str(problem).split())
         raise LogError(
-            f"{os.fspath(path)}: expected to write a NetCDF file, got '{text}': check space, permissions and attributes"
+            f"{os.fspath(path)}: expected to write a NetCDF file, got '{text}': check the attributes"
         ) from problem
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _is_float(array: xr.DataArray) -> bool:

@@ -295,6 +295,8 @@ def _read_image(path: Path, cells_of: _CellsOf, where: str) -> NDArray[np.uint8]
 def _cells_by_parts(image: Any, cells_of: _CellsOf) -> NDArray[np.uint8]:
     """Convert an image part by part: as grey numbers it takes many times the memory that its pixels take."""
     image.load()
+    if image.mode in ("P", "PA") and image.palette is None:
+        raise ValueError("its colours are in a palette that it does not have")
     width, height = image.size
     cells = np.empty((height, width), dtype=np.uint8)
     across = min(width, _PIXELS_AT_ONCE)

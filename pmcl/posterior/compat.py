@@ -33,6 +33,7 @@ __all__ = [
     "mcse_of_mean",
     "r_hat",
     "save_netcdf",
+    "size_of",
     "tail_ess",
 ]
 
@@ -173,6 +174,20 @@ def save_netcdf(data: Posterior, path: str | PathLike[str]) -> None:
     for name in group_names(data):
         dataset = find_group(data, name).drop_encoding()
         dataset.to_netcdf(path, mode="a", group=name, engine="h5netcdf")
+
+
+def size_of(data: Posterior) -> int:
+    """Return how large the arrays of all groups are [byte].
+
+    Parameters
+    ----------
+    data : arviz.InferenceData or xarray.DataTree
+
+    Returns
+    -------
+    int
+    """
+    return sum(int(find_group(data, name).nbytes) for name in group_names(data))
 
 
 def load_netcdf(path: str | PathLike[str]) -> Posterior:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pmcl.checks import check_path
 from pmcl.errors import PosteriorError
 from pmcl.hdf5 import UnsafeFileError
 from pmcl.posterior.access import parameter_names, require_numbers
-from pmcl.posterior.compat import Posterior, load_netcdf, save_netcdf
+from pmcl.posterior.compat import Posterior, load_netcdf, save_netcdf, size_of
+from pmcl.whole_file import replacing
 
-__all__ = ["read_posterior", "replacing", "write_posterior"]
+__all__ = ["read_posterior", "write_posterior"]
 
 
 def write_posterior(data: Posterior, path: str | os.PathLike[str]) -> None:
@@ -31,7 +30,7 @@ def write_posterior(data: Posterior, path: str | os.PathLike[str]) -> None:
     """
     check_path("path", path, error=PosteriorError)
     parameter_names(data)
-    with replacing(path) as temporary:
+    with replacing(path, n_bytes=size_of(data)) as temporary:
         save_netcdf(data, temporary)
 
 
@@ -80,37 +79,3 @@ def read_posterior(path: str | os.PathLike[str]) -> Posterior:
     except PosteriorError as error:
         raise PosteriorError(f"{path}: {error}") from error
     return data
-
-
-@contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary file name beside `path`; the file takes the place of `path` when no error occurs.
-
-    Parameters
-    ----------
-    path : path-like
-        The final file.
-
-    Yields
-    ------
-    pathlib.Path
-        The temporary file.
-
-    Raises
-    ------
-    PosteriorError
-        If the file cannot be written; an existing file is then left as it was.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield temporary
-        temporary.replace(path)
-    except OSError as error:
-        raise PosteriorError(
-            f"expected a place to write {path}, got {error.strerror or error}: check that the folder exists, "
-            "can be written and has space"
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()

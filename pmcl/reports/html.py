@@ -12,8 +12,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from pmcl.posterior.files import replacing
 from pmcl.reports.terms import explain_terms
+from pmcl.whole_file import replacing
 
 __all__ = ["Picture", "embedded", "page", "picture", "write_page"]
 

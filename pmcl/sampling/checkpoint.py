@@ -8,12 +8,12 @@ the place of the old one: whatever happens in between, there is always one compl
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import logging
 import os
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from pmcl.hdf5 import UnsafeFileError, stored_arrays
 from pmcl.models.effects.formula import Formula
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
+from pmcl.whole_file import write_whole
 
 __all__ = ["Checkpoint", "fingerprint"]
 
@@ -169,19 +170,16 @@ class Checkpoint:
         if self._steps() == self._steps_written or not all(backend.whole for backend in self._stages.values()):
             return
         start = time.monotonic()
-        temporary = self._temporary()
         try:
-            with h5py.File(temporary, "w") as file:
+            # In memory first: HDF5 crashes, or leaves a file open, where the disk gets full.
+            content = io.BytesIO()
+            with h5py.File(content, "w") as file:
                 self._fill(file)
-            with open(temporary, "rb+") as written:
-                os.fsync(written.fileno())
-            os.replace(temporary, self.path)
+            write_whole(self.path, content.getbuffer(), error=SamplingError)
             self._steps_written = self._steps()
-        except (OSError, RuntimeError) as error:
+        except SamplingError as error:
             _logger.warning("%s: the checkpoint could not be written (%s); the run goes on", self.path, error)
         finally:
-            with suppress(OSError):
-                temporary.unlink()
             now = time.monotonic()
             self._due = now + max(_LEAST_PAUSE, _PAUSE_PER_WRITE * (now - start))
 
@@ -193,12 +191,9 @@ class Checkpoint:
     def _steps(self) -> int:
         return sum(int(backend.iteration) for backend in self._stages.values())
 
-    def _temporary(self) -> Path:
-        return self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
-
     def _try_folder(self) -> None:
         """Find out now, not after hours, whether the file can be written."""
-        temporary = self._temporary()
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         try:
             temporary.touch()
             temporary.unlink()

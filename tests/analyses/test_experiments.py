@@ -157,7 +157,7 @@ def test_a_recorded_robot_has_measured_noise_instead_of_true_noise(small, shared
     assert set(with_outliers["score"]) == {"prior", "mean", "map", "posterior"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hidden_effect_goes_through_the_whole_benchmark(tmp_path):
     """Made, criticised by something that is told nothing, scored; and what is scored is not made again."""
 
@@ -182,7 +182,7 @@ def test_a_hidden_effect_goes_through_the_whole_benchmark(tmp_path):
     assert not list((tmp_path / "again").glob("log-*.nc"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exported_parameters_localize_better_than_defaults_on_the_other_part_of_a_drive(small, shared_data):
     folder = small("lidar_on_real_robots", "held_out")
     rows = read(folder / "held_out.csv")
@@ -203,7 +203,7 @@ def test_exported_parameters_localize_better_than_defaults_on_the_other_part_of_
     assert "likelihood_field_prob" in (folder / "exported" / "jarvis_navigation_first_tempered.yaml").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_products_suit_independent_beams_and_are_too_sure_where_the_map_is_wrong(small):
     rows = read(small("lidar_on_real_robots", "combining") / "combining.csv")
     rows = [row for row in rows if row["start"] == "clicked"]

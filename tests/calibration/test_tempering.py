@@ -72,7 +72,7 @@ def with_shared_errors(log, seed):
     return pmcl.RobotLog.from_dataset(dataset, "shared", log.grid_map)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_shared_errors_make_the_exponent_smaller():
     log = simulate_lidar_room(100, 2, sensor=Lidar(model="beam", exponent=1.0), n_rays=30)
     lines = []

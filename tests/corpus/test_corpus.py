@@ -1,6 +1,6 @@
 """Bad inputs of every kind: one line, exit status 2, no file made, in bounded time and memory; or a sound result.
 
-The whole corpus is slow; a part of each family always runs. ``python tests/corpus/run.py`` prints a table of it.
+The whole corpus is long; a part of each family always runs. ``python tests/corpus/run.py`` prints a table of it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def test_some_bad_inputs(family, sound, runner, tmp_path):
     assert problems(family, sound, runner, tmp_path, quick=True) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("family", FAMILIES)
 def test_all_bad_inputs(family, sound, runner, tmp_path):
     assert problems(family, sound, runner, tmp_path, quick=False) == []

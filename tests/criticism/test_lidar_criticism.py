@@ -21,7 +21,7 @@ def small(log, model=None, **settings):
     return criticize(log, model, **{"simulations": 20, "joint": False, "seed": 1, "rounds": 1, **settings})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_right_mount_is_left_alone():
     result = small(room(1))
     assert result.verdict == "no missing effect"

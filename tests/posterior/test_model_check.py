@@ -326,7 +326,7 @@ def correct_log(seed):
     return simulate_landmark_field(duration, seed, theta, bearings=True, reach=12.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_calibrated_correct_models_are_seldom_objected_to():
     """At a rate of 1 %, more than four of 90 happen in one of 400 runs; the promise is 5 %."""
     wrong = 0
@@ -337,7 +337,7 @@ def test_calibrated_correct_models_are_seldom_objected_to():
     assert wrong <= 4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["likelihood-field", "beam"])
 def test_calibrated_models_of_scans_are_seldom_objected_to(model):
     """At a rate of 1 %, more than two of 20 happen in one of a thousand runs."""

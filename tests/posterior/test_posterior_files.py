@@ -14,8 +14,9 @@ from pmcl.posterior import files
 from pmcl.posterior.access import parameter_names, trajectory_draws
 from pmcl.posterior.compat import assemble, find_group, group_names
 from pmcl.posterior.convert import to_arviz
-from pmcl.posterior.files import read_posterior, replacing, write_posterior
+from pmcl.posterior.files import read_posterior, write_posterior
 from pmcl.posterior.settings import settings
+from pmcl.whole_file import replacing
 
 
 @pytest.fixture(scope="module")

@@ -99,7 +99,7 @@ def test_a_start_that_is_not_known_is_no_mistake():
     assert "laser-upside-down" in names(MISTAKES["laser-upside-down"](unknown))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sound_logs_pass():
     """None of thirty, of several sizes, fields of view and noises; a hundred were silent when this was written."""
     found = {}

@@ -34,7 +34,7 @@ def test_few_logs_drawn_from_the_priors_pass(seed):
     assert preflight(_drawn_log(5000 + seed)) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_hundred_logs_drawn_from_the_priors_pass():
     assert [seed for seed in range(6000, 6200) if preflight(_drawn_log(seed))] == []
 

@@ -23,7 +23,8 @@ from pmcl.errors import PosteriorError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.model_text import model_text
 from pmcl.models.robot_model import RobotModel
-from pmcl.posterior.files import replacing, write_posterior
+from pmcl.posterior.files import write_posterior
+from pmcl.whole_file import replacing
 
 __all__ = ["Criticism", "JudgedFit"]
 

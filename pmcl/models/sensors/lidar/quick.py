@@ -76,7 +76,7 @@ class QuickScans(QuickReadings):
         Usual distance between the end of a ray and the wall that it met [m].
     """
 
-    particles_anywhere: ClassVar[int] = 500
+    particles_anywhere: ClassVar[int] = 1000
     # Clocks of computers that nobody has synchronised. Less than a second is a latency, which is for the critic [s].
     delays: ClassVar[tuple[float, ...]] = (1.0, 1.5, 2.2, 3.3, 5.0)
     start_may_be_elsewhere: ClassVar[bool] = True
