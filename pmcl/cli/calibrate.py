@@ -98,7 +98,10 @@ def calibrate(
         raise click.UsageError("--outliers is for the default model, which --model replaces: give one of the two", ctx)
     chosen = chosen_method(ctx, method, method_settings)
     if output is not None:
-        protect_inputs(ctx, output, [path for path in (*logs, map_file, model_file) if path])
+        inputs = [path for path in (*logs, map_file, model_file) if path]
+        protect_inputs(ctx, output, inputs)
+        if checkpoint is not None:
+            protect_inputs(ctx, checkpoint, [*inputs, str(output)])
 
     from pmcl.logs.robot_log import RobotLog
     from pmcl.maps.occupancy_grid import OccupancyGrid

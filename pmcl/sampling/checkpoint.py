@@ -14,6 +14,7 @@ import logging
 import os
 import time
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +38,13 @@ _VERSION = 3
 # Seconds between two writes: at least so many, and so many times as long as the last write took. So a run that is
 # killed loses a few seconds, and writing takes at most a twentieth of the time.
 _LEAST_PAUSE, _PAUSE_PER_WRITE = 5.0, 20.0
+# Quantiles of the priors at which the tables of a run are compared with those of the run that is to be resumed.
+_QUANTILES = (0.3, 0.8)
 _ARRAYS = ("chain", "log_prob", "blobs")
 
 
 def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
-    """Return a hash of logs, model, priors and settings: a run may be resumed only by the same run.
+    """Return a hash of logs, model, priors, settings and pmcl's version: a run may be resumed only by the same run.
 
     Parameters
     ----------
@@ -69,9 +72,13 @@ def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
         digest.update(f"{effect.name} {sorted((key, tuple(value)) for key, value in effect.where.items())}".encode())
         if isinstance(effect.change, Formula):
             digest.update(repr(effect.change).encode())
-    for tables in bound.tables(bound.prior_mean()):
-        for table in (tables.start, tables.motion, *tables.sensors):
-            _digest_table(digest, table)
+    # What the code of effects and parts does shows in their tables. At the prior mean many effects do nothing.
+    for quantile in _QUANTILES:
+        theta = np.array([float(parameter.prior.ppf(quantile)) for parameter in bound.parameters])
+        for tables in bound.tables(theta):
+            for table in (tables.start, tables.motion, *tables.sensors):
+                _digest_table(digest, table)
+    digest.update(f"pmcl {version('pmcl')}".encode())
     digest.update(json.dumps(dict(settings), sort_keys=True, default=str).encode())
     return digest.hexdigest()
 
@@ -224,18 +231,18 @@ class Checkpoint:
             stored_arrays(self.path)
             with h5py.File(self.path, "r") as file:
                 found = str(file.attrs.get("pmcl_fingerprint", ""))
-                version = int(file.attrs.get("pmcl_checkpoint", 0))
+                layout = int(file.attrs.get("pmcl_checkpoint", 0))
         except Exception as error:
             raise self._unreadable(error) from None
-        if version != _VERSION:
+        if layout != _VERSION:
             raise SamplingError(
                 f"{self.path}: expected a checkpoint of this version of pmcl, but another version or program wrote "
                 "it; resume with that version, or remove it to start anew"
             )
         if found != self.expected:
             raise SamplingError(
-                f"{self.path}: the checkpoint belongs to another run (log, model, priors or settings differ); "
-                "resume with the settings it was begun with, or remove it to start anew"
+                f"{self.path}: the checkpoint belongs to another run (log, model, priors, settings or pmcl's version "
+                "differ); resume with the settings it was begun with, or remove it to start anew"
             )
 
     def _fill(self, file: Any) -> None:

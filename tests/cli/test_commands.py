@@ -162,6 +162,16 @@ def test_a_resumed_run_is_the_run(run, log_file, tmp_path):
     assert "another run" in other.stderr
 
 
+@pytest.mark.parametrize("other", ["out.nc", "log.nc"])
+def test_checkpoint_and_posterior_are_two_files(run, log_file, tmp_path, other):
+    before = log_file.read_bytes()
+    refused = run("calibrate", log_file, "-o", tmp_path / "out.nc", "--checkpoint", tmp_path / other)
+    assert refused.exit_code == 2
+    assert "name another file" in refused.stderr
+    assert log_file.read_bytes() == before
+    assert not (tmp_path / "out.nc").exists()
+
+
 def test_a_run_that_fails_leaves_no_checkpoint(run, log_file, tmp_path, monkeypatch):
     import pmcl.sampling.particle_gibbs as sampling
     from pmcl.errors import SamplingError

@@ -18,11 +18,17 @@ import numpy as np
 import pytest
 from oracles.amigobot_model import amigobot_log, tight_model
 from oracles.random_walk_model import rail_log, rail_model
+from scipy import stats
 
 import pmcl
 from pmcl.calibration import Ensemble, ParticleGibbs, calibrate
 from pmcl.errors import SamplingError
+from pmcl.models.effects.editing import edit_motion
+from pmcl.models.effects.effect import Effect
+from pmcl.models.parameters import Parameter
+from pmcl.models.robot_model import default_model
 from pmcl.posterior.files import write_posterior
+from pmcl.sampling.checkpoint import fingerprint
 from pmcl.sampling.options import RunOptions
 
 SHORT = ParticleGibbs(
@@ -200,6 +206,25 @@ def test_another_run_is_refused(what, finished):
         run(bound, method, checkpoint=finished, resume=True, **changes)
     assert "\n" not in str(caught.value)
     assert finished in str(caught.value)
+
+
+def test_another_version_of_pmcl_or_of_an_effect_is_another_run(rail, monkeypatch):
+    """The code of an effect counts, also one that does nothing at its prior mean, which is its null."""
+
+    def stretched(power):
+        def change(tables, values, log, where):
+            return edit_motion(tables, lambda motion: {"mean": motion.mean * (1.0 + values[0]) ** power}, "stretch")
+
+        parameter = Parameter("stretch", "1", stats.norm(0.0, 0.1), "share by which steps are longer")
+        return Effect("stretch", "motion", (parameter,), (0.0,), change)
+
+    log = amigobot_log(20, 1)
+    model = default_model(log)
+    prints = [fingerprint(replace(model, effects=(stretched(power),)).bind(log), {}) for power in (1, 1, 2)]
+    assert prints[0] == prints[1] != prints[2]
+    before = fingerprint(rail, {})
+    monkeypatch.setattr("pmcl.sampling.checkpoint.version", lambda package: "999")
+    assert fingerprint(rail, {}) != before
 
 
 def test_an_existing_checkpoint_is_never_overwritten(rail, finished):
