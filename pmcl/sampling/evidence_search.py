@@ -15,7 +15,7 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.point_estimates import standard_errors
 from pmcl.sampling.pseudo_marginal import draw_numbers, estimate_evidence
-from pmcl.sampling.stopwatch import Stopwatch
+from pmcl.sampling.stopwatch import Stopwatch, TimeOver
 from pmcl.sampling.transforms import Unconstrained
 
 __all__ = ["most_evident"]
@@ -71,13 +71,13 @@ def most_evident(
     def cost(u: Float) -> float:
         value = log_evidence(u)
         if best and stopwatch.now() >= 0.7 * stopwatch.limit:
-            raise StopIteration
+            raise TimeOver
         if math.isfinite(value) and (not best or value > best[-1][0]):
             best.append((value, np.array(u, dtype=float)))
         return -value if math.isfinite(value) else _IMPOSSIBLE
 
     simplex = np.vstack([start, start + _EDGE * np.eye(start.size)])
-    with contextlib.suppress(StopIteration):
+    with contextlib.suppress(TimeOver):
         optimize.minimize(
             cost, start.tolist(), method="Nelder-Mead",
             options={"maxfev": evaluations, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-2},

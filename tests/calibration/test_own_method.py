@@ -109,7 +109,7 @@ def test_the_command_line_has_method_and_settings(log, tmp_path):
         (("--method", "own-draws", "--order", "odd"), "'odd' is not one of 'plain', 'sorted'"),
         (("--method", "own-mean", "--particles", "2"), "2 is not in the range x>=3"),
         (("--method", "own-mean", "--particles", "many"), "'many' is not a valid integer"),
-        (("--method", "prior"), "'prior' is not one of"),
+        (("--method", "pryor"), "'pryor' is not one of"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused_in_one_line(options, message, log, tmp_path):
