@@ -47,6 +47,18 @@ _OWN: dict[str, dict[str, str]] = {
     METHODS: {
         "particle-gibbs": "pmcl.calibration.particle_gibbs:ParticleGibbs",
         "ensemble": "pmcl.calibration.ensemble:Ensemble",
+        "pmmh": "pmcl.calibration.pmmh:ParticleMetropolis",
+        "marginal-gibbs": "pmcl.calibration.marginal_gibbs:MarginalGibbs",
+        "ekf": "pmcl.calibration.kalman:ExtendedKalman",
+        "ukf": "pmcl.calibration.kalman:UnscentedKalman",
+        "em": "pmcl.calibration.em:ExpectationMaximisation",
+        "roy-thrun": "pmcl.calibration.roy_thrun:OnlineOdometryBias",
+        "least-squares": "pmcl.calibration.least_squares:LeastSquares",
+        "liu-west": "pmcl.calibration.liu_west:LiuWest",
+        "storvik": "pmcl.calibration.storvik:Storvik",
+        "optimiser": "pmcl.calibration.optimiser:EvidenceOptimiser",
+        "prior": "pmcl.calibration.prior_mean:PriorMean",
+        "truth": "pmcl.calibration.truth:TrueResiduals",
     },
 }
 

@@ -2,7 +2,14 @@
 
 :func:`calibrate` does everything that is the same for all methods: it checks the logs, binds the model, runs the
 method, labels its result and checks the calibrated model. A method is a class of its own, whose fields are its
-settings: :class:`ParticleGibbs`, the paper's sampler, and :class:`Ensemble`, emcee's stretch move.
+settings.
+
+Of the posterior: :class:`ParticleGibbs`, the paper's sampler, and :class:`MarginalGibbs`; :class:`Ensemble`, emcee's
+moves, and :class:`ParticleMetropolis`, plain and correlated, on the particle filter's evidence;
+:class:`ExtendedKalman` and :class:`UnscentedKalman`; :class:`LiuWest` and :class:`Storvik`, with parameters in the
+particles' state. Of one theta: :class:`ExpectationMaximisation`, :class:`OnlineOdometryBias`, :class:`LeastSquares`,
+:class:`EvidenceOptimiser`, and for comparison :class:`PriorMean` and the oracle :class:`TrueResiduals`. Those that
+are exact only for some models say so.
 
 To add a method, write one module with a subclass of :class:`CalibrationMethod` and register it
 (:func:`pmcl.registry.register`, or the entry point group ``pmcl.methods``). :func:`calibrate`, ``pmcl calibrate
@@ -20,11 +27,22 @@ from typing import TYPE_CHECKING
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pmcl.calibration.em import ExpectationMaximisation
     from pmcl.calibration.ensemble import Ensemble
+    from pmcl.calibration.kalman import ExtendedKalman, UnscentedKalman
+    from pmcl.calibration.least_squares import LeastSquares
+    from pmcl.calibration.liu_west import LiuWest
+    from pmcl.calibration.marginal_gibbs import MarginalGibbs
     from pmcl.calibration.method import CalibrationMethod, Variant
+    from pmcl.calibration.optimiser import EvidenceOptimiser
     from pmcl.calibration.particle_gibbs import ParticleGibbs
+    from pmcl.calibration.pmmh import ParticleMetropolis
+    from pmcl.calibration.prior_mean import PriorMean
+    from pmcl.calibration.roy_thrun import OnlineOdometryBias
     from pmcl.calibration.settings import setting
+    from pmcl.calibration.storvik import Storvik
     from pmcl.calibration.tempering import Tempering, held_out_exponent, with_exponent
+    from pmcl.calibration.truth import TrueResiduals
     from pmcl.calibration.workflow import calibrate
     from pmcl.sampling.chains import Chains, PointEstimate
     from pmcl.sampling.options import RunOptions
@@ -33,10 +51,22 @@ __all__ = [
     "CalibrationMethod",
     "Chains",
     "Ensemble",
+    "EvidenceOptimiser",
+    "ExpectationMaximisation",
+    "ExtendedKalman",
+    "LeastSquares",
+    "LiuWest",
+    "MarginalGibbs",
+    "OnlineOdometryBias",
     "ParticleGibbs",
+    "ParticleMetropolis",
     "PointEstimate",
+    "PriorMean",
     "RunOptions",
+    "Storvik",
     "Tempering",
+    "TrueResiduals",
+    "UnscentedKalman",
     "Variant",
     "calibrate",
     "held_out_exponent",
@@ -48,10 +78,22 @@ _HOMES = {
     "CalibrationMethod": "pmcl.calibration.method",
     "Chains": "pmcl.sampling.chains",
     "Ensemble": "pmcl.calibration.ensemble",
+    "EvidenceOptimiser": "pmcl.calibration.optimiser",
+    "ExpectationMaximisation": "pmcl.calibration.em",
+    "ExtendedKalman": "pmcl.calibration.kalman",
+    "LeastSquares": "pmcl.calibration.least_squares",
+    "LiuWest": "pmcl.calibration.liu_west",
+    "MarginalGibbs": "pmcl.calibration.marginal_gibbs",
+    "OnlineOdometryBias": "pmcl.calibration.roy_thrun",
     "ParticleGibbs": "pmcl.calibration.particle_gibbs",
+    "ParticleMetropolis": "pmcl.calibration.pmmh",
     "PointEstimate": "pmcl.sampling.chains",
+    "PriorMean": "pmcl.calibration.prior_mean",
     "RunOptions": "pmcl.sampling.options",
+    "Storvik": "pmcl.calibration.storvik",
     "Tempering": "pmcl.calibration.tempering",
+    "TrueResiduals": "pmcl.calibration.truth",
+    "UnscentedKalman": "pmcl.calibration.kalman",
     "Variant": "pmcl.calibration.method",
     "calibrate": "pmcl.calibration.workflow",
     "held_out_exponent": "pmcl.calibration.tempering",

@@ -1,11 +1,12 @@
-"""The ensemble: emcee's stretch move on the pseudo-marginal target, for comparison."""
+"""The ensemble: emcee's moves on the pseudo-marginal target, for comparison."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
-from pmcl.calibration.method import CalibrationMethod
+from pmcl.calibration.method import CalibrationMethod, Variant
 from pmcl.calibration.settings import setting
 
 if TYPE_CHECKING:
@@ -23,27 +24,47 @@ _LEAST_BURN_IN: Final = 100
 
 @dataclass(frozen=True)
 class Ensemble(CalibrationMethod):
-    """emcee's StretchMove on the particle filter's estimate of the evidence; every walker is returned as a chain.
+    """emcee's StretchMove or DEMove on the particle filter's estimate of the evidence; every walker is a chain.
 
-    Chains are walkers here, of which the move needs many: there are at least 2 d + 2 for d parameters.
+    Chains are walkers here, of which the moves need many: there are at least 2 d + 2 for d parameters. Walkers start
+    near the mode of the linearised model.
 
     Attributes
     ----------
-    particles : int
-        Particles of each estimate.
+    particles : int, optional
+        Particles of each estimate. When left out, as many as make the standard deviation of its logarithm 1.2 near the
+        mode: with fewer, a walker whose estimate is too great by luck stays where it is.
+    move : {"stretch", "de"}
+        The stretch move of Goodman and Weare, or differential evolution.
     burn_in : int, optional
         Steps before those that are kept; half of the draws, but at least 100, when left out.
 
     References
     ----------
     Goodman, Weare, Ensemble samplers with affine invariance, CAMCoS 5, 2010.
+    ter Braak, A Markov chain Monte Carlo version of the genetic algorithm differential evolution, Statistics and
+    Computing 16, 2006.
+    Doucet, Pitt, Deligiannidis, Kohn, Efficient implementation of Markov chain Monte Carlo when using an unbiased
+    likelihood estimator, Biometrika 102, 2015.
     Andrieu, Roberts, The pseudo-marginal approach for efficient Monte Carlo computations, Ann. Statist. 37, 2009.
     """
 
     name: ClassVar[str] = "ensemble"
-    description: ClassVar[str] = "emcee's stretch move on the pseudo-marginal target"
+    description: ClassVar[str] = "emcee's stretch move or differential evolution on the pseudo-marginal target"
+    variants: ClassVar[Mapping[str, Variant]] = {
+        "ensemble-de": Variant({"move": "de"}, "the same with differential evolution"),
+    }
 
-    particles: int = setting(200, "Particles of the filter.", least=2, advice="25 to 1000 are usual")
+    particles: int | None = setting(
+        None,
+        "Particles of the filter.",
+        least=2,
+        otherwise="by the measured scatter of the evidence",
+        advice="25 to 1000 are usual",
+    )
+    move: Literal["stretch", "de"] = setting(
+        "stretch", "stretch: the stretch move. de: differential evolution.", choices=("stretch", "de")
+    )
     burn_in: int | None = setting(
         None,
         "Steps before the draws.",
@@ -63,15 +84,23 @@ class Ensemble(CalibrationMethod):
 
     def run(self, bound: BoundModel, options: RunOptions) -> Chains:
         """Run the ensemble, see :meth:`CalibrationMethod.run`."""
-        from pmcl.sampling.ensemble import run_ensemble
+        from pmcl.sampling.ensemble import estimates_ratio, run_ensemble
+        from pmcl.sampling.near_mode import near_mode
+        from pmcl.sampling.pseudo_marginal import chosen_particles
 
-        method = self.resolved(bound, options)
+        near = near_mode(bound, options.seed)
+        particles = self.particles
+        if particles is None:
+            particles = chosen_particles(estimates_ratio(bound, near), options.seed)
+        method = replace(self, particles=particles).resolved(bound, options)
         assert method.burn_in is not None
         options = replace(options, chains=max(options.chains, 2 * bound.dimension + 2))
         return run_ensemble(
             bound,
-            particles=method.particles,
+            particles=particles,
             burn_in=method.burn_in,
             options=options,
             settings=method.record(options),
+            near=near,
+            move=method.move,
         )

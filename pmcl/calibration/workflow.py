@@ -51,8 +51,7 @@ def calibrate(
         The default model of the first log when left out (:func:`pmcl.models.robot_model.default_model`).
     method : CalibrationMethod or str
         The method with its settings, such as ``ParticleGibbs(kernel="smoothing", particles=500)``, or the name of one
-        with its defaults: ``particle-gibbs`` (:class:`~pmcl.calibration.particle_gibbs.ParticleGibbs`) or ``ensemble``
-        (:class:`~pmcl.calibration.ensemble.Ensemble`).
+        with its defaults, such as ``particle-gibbs`` or ``em`` (:mod:`pmcl.calibration` lists them).
     draws, chains : int
         Draws per chain after burn-in, number of chains. The ensemble takes more chains when it needs more.
     trajectories : int

@@ -29,7 +29,7 @@ __all__ = ["compare"]
     show_default=True,
     metavar="NAME[:N],...",
     help="Methods of 'pmcl calibrate', each with a number of particles if you like: particle-gibbs:25 (or "
-    "conditional:25), plain:25 (the same without transport moves), smoothing:500, ensemble:200.",
+    "conditional:25), plain:25 (the same without transport moves), smoothing:500, ensemble:200, correlated-pmmh, ekf.",
 )
 @output_option("The page to write (HTML, one file).")
 @click.option(

@@ -15,13 +15,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.filtering.linearised_evidence import LinearisedEvidence
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.geometry import wrap
-from pmcl.identifiability.approximate import curvature_at
-from pmcl.identifiability.evidence import LinearisedEvidence
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import RobotModel
 from pmcl.models.sensor import sensor_of
+from pmcl.sampling.approximate import curvature_at
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.simulations.simulate import simulate_path
 

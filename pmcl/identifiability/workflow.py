@@ -13,16 +13,16 @@ from pmcl.checks import check_flag, check_seed, check_type
 from pmcl.criticism.fitting.quick_fit import LONG, quick_fit
 from pmcl.errors import FilterError, LogError, ModelError, PmclError
 from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta, with_estimated_path
+from pmcl.filtering.linearised_evidence import LinearisedEvidence, improved
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
-from pmcl.identifiability.approximate import WeightedDraws, equal_draws, log_posterior, mode_of, weighted_draws
 from pmcl.identifiability.drives import Drive, drives_for, information_per_row
-from pmcl.identifiability.evidence import LinearisedEvidence, improved
 from pmcl.identifiability.result import CANNOT_TELL, Advice, Identification, Prediction
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
 from pmcl.posterior.compat import bulk_ess
 from pmcl.preflight.check import require_rows
+from pmcl.sampling.approximate import WeightedDraws, equal_draws, log_posterior, mode_of, weighted_draws
 from pmcl.sampling.transforms import Unconstrained
 
 __all__ = ["identify"]
@@ -80,8 +80,8 @@ def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = T
     Notes
     -----
     The path is integrated out in the model that is linearised around the smoothed path
-    (:mod:`pmcl.identifiability.evidence`); the posterior of theta follows by importance sampling. Predictions are as
-    good as that Gaussian approximation of the path: where the robot may be lost, they are too narrow. Densities that
+    (:mod:`pmcl.filtering.linearised_evidence`); the posterior of theta follows by importance sampling. Predictions are
+    as good as that Gaussian approximation of the path: where the robot may be lost, they are too narrow. Densities that
     are mixtures with gross errors are no Gaussians even along a straight path; for such models one short chain
     (:func:`pmcl.criticism.fitting.quick_fit.quick_fit`) takes the place of the approximation.
     """

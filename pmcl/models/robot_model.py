@@ -298,11 +298,11 @@ class BoundModel:
                 continue
             bad = np.argwhere(~(np.asarray(std)[1:] > 0.0))
             if bad.size:
-                t, component = int(bad[0][0]) + 1, int(bad[0][1])
+                t, component = int(bad[0][0]) + 1, int(bad[0][1:].sum())  # of one component: no second axis
                 direction = ("forward", "left", "turn")[component] if component < 3 else f"component {component}"
                 raise ModelError(
                     f"{log.where}: the motion model has no noise in direction '{direction}' at row {t} (its standard "
-                    f"deviation is {float(std[t, component]):g}), so no trajectory can be drawn backward; "
+                    f"deviation is {float(std[t].flat[component]):g}), so no trajectory can be drawn backward; "
                     "give it a small positive noise"
                 )
 

@@ -78,7 +78,7 @@ _CHAIN_FIGURES: tuple[tuple[str, Callable[[Posterior], Figure], str], ...] = (
 # Meanings of the sampler's statistics of each draw.
 _STATISTICS = {
     "lp": "log joint density of parameters, path and readings [nat]",
-    "acceptance_rate": "share of one-dimensional proposals that were accepted",
+    "acceptance_rate": "share of proposals that were accepted",
     "transport_walk_acceptance_rate": "the same for small moves of parameters and path together",
     "transport_jump_rate": "the same for jumps of parameters and path together",
     "path_block_redraw_rate": "share of blocks of the path that were drawn anew",

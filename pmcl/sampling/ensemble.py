@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from emcee.moves import DEMove, StretchMove
 from emcee.state import State
 from numpy.typing import NDArray
 
@@ -21,16 +22,22 @@ from pmcl.filtering.particle_filter import log_joint, make_rng, update_path
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.advance import StageRunner
 from pmcl.sampling.chains import Chains
+from pmcl.sampling.near_mode import NearMode
 from pmcl.sampling.options import RunOptions, SettingValue
 from pmcl.sampling.session import check_run_memory, collected, run_session
 from pmcl.sampling.stages import BURN_IN_SHARE, INCLUSION_SHARE
 from pmcl.sampling.state import state_dimension
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.sweep import included
+from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["EstimateInfo", "PseudoMarginalTarget", "first_walkers", "run_ensemble"]
+__all__ = ["EstimateInfo", "PseudoMarginalTarget", "estimates_ratio", "first_walkers", "run_ensemble"]
 
 Float = NDArray[np.float64]
+
+_MOVES = {"stretch": StretchMove, "de": DEMove}
+# Walkers start this much wider than the posterior is thought to be.
+_START_WIDTH = 1.5
 
 
 class EstimateInfo(NamedTuple):
@@ -102,6 +109,19 @@ class PseudoMarginalTarget:
         return prior + info.log_evidence, path, joint, *info
 
 
+def estimates_ratio(bound: BoundModel, near: NearMode) -> Callable[[int, np.random.Generator], float]:
+    """Return a function (particles, generator) -> log of the ratio of two estimates near the mode."""
+    theta = Unconstrained(bound.parameters).from_line(near.centre)[0]
+
+    def log_ratio(particles: int, rng: np.random.Generator) -> float:
+        first, second = (
+            float(PseudoMarginalTarget(bound, particles, int(seed))(theta)[0]) for seed in rng.integers(0, 2**62, 2)
+        )
+        return second - first if math.isfinite(first) else math.inf
+
+    return log_ratio
+
+
 def first_walkers(
     target: PseudoMarginalTarget,
     n_walkers: int,
@@ -109,8 +129,9 @@ def first_walkers(
     pool: Any,
     stopwatch: Stopwatch | None = None,
     tries: int = 8,
+    near: NearMode | None = None,
 ) -> State:
-    """Start an ensemble: of ``tries * n_walkers`` draws from the prior, those with the greatest target.
+    """Start an ensemble: of ``tries * n_walkers`` draws, those with the greatest target.
 
     In a run of limited time there are fewer draws when they take too long, but enough to start.
 
@@ -127,7 +148,9 @@ def first_walkers(
     stopwatch : Stopwatch, optional
         The time of the run.
     tries : int
-        Draws from the prior for each walker.
+        Draws for each walker.
+    near : NearMode, optional
+        Where to draw; from the prior when left out.
 
     Returns
     -------
@@ -139,7 +162,12 @@ def first_walkers(
         When fewer than `n_walkers` draws can explain the readings at all.
     """
     rng = make_rng(np.random.SeedSequence(seed))
-    coords = np.array([target.bound.draw_prior(rng) for _ in range(tries * n_walkers)])
+    if near is None:
+        coords = np.array([target.bound.draw_prior(rng) for _ in range(tries * n_walkers)])
+    else:
+        root, transform = _START_WIDTH * np.linalg.cholesky(near.covariance), Unconstrained(target.bound.parameters)
+        normal = rng.standard_normal((tries * n_walkers, near.centre.size))
+        coords = np.array([transform.from_line(u)[0] for u in near.centre + normal @ root.T])
     run = pool.map if pool is not None else map
     results: list[Any] = []
     values = np.array([])
@@ -152,7 +180,7 @@ def first_walkers(
     best = np.argsort(-values, kind="stable")[:n_walkers]
     if not np.isfinite(values[best]).all():
         raise SamplingError(
-            f"only {int(np.isfinite(values).sum())} of {values.size} draws from the prior can explain the readings, "
+            f"only {int(np.isfinite(values).sum())} of {values.size} draws can explain the readings, "
             f"but the ensemble needs {n_walkers}; use more particles, wider priors, or method particle-gibbs"
         )
     blobs = np.array([results[k][1:] for k in best], dtype=target.dtype)
@@ -167,7 +195,8 @@ def run_ensemble(
     burn_in: int,
     options: RunOptions,
     settings: Mapping[str, SettingValue],
-    moves: Any = None,
+    near: NearMode | None = None,
+    move: str = "stretch",
 ) -> Chains:
     """Run emcee's ensemble moves on the pseudo-marginal target; every walker is returned as a chain.
 
@@ -183,8 +212,10 @@ def run_ensemble(
         How the run is carried out; its chains are the walkers, at least 2 d.
     settings : mapping of str to scalar
         Every setting of the run; a checkpoint knows its run by them, and they become the result's.
-    moves : emcee moves, optional
-        emcee's StretchMove when left out.
+    near : NearMode, optional
+        Near where the walkers start; anywhere in the prior when left out.
+    move : {"stretch", "de"}
+        Which of emcee's moves is made.
 
     Returns
     -------
@@ -210,10 +241,10 @@ def run_ensemble(
         ]
         if not any(backend.iteration for backend in backends):
             session.stopwatch.deadline = session.stopwatch.limit
-            state = first_walkers(target, options.chains, options.seed, session.pool, session.stopwatch)
+            state = first_walkers(target, options.chains, options.seed, session.pool, session.stopwatch, near=near)
         for name, backend, time_share in zip(("burn-in", "draws"), backends, (BURN_IN_SHARE, 1.0), strict=True):
             if not backend.complete:
-                runner = StageRunner(session, bound, options.chains, target, moves, backend)
+                runner = StageRunner(session, bound, options.chains, target, _MOVES[move](), backend)
                 state = runner.advance(state, name, time_share)
             elif name == "burn-in" and not backends[1].iteration:
                 state = backend.get_last_sample()

@@ -16,5 +16,5 @@ def log():
 def registered_methods(monkeypatch):
     """Two methods of the tests, registered for the length of one test."""
     monkeypatch.setitem(registry._added, registry.METHODS, {})
-    registry.register(registry.METHODS, "prior-draws", PriorDraws)
-    registry.register(registry.METHODS, "prior-mean", PriorMean)
+    registry.register(registry.METHODS, "own-draws", PriorDraws)
+    registry.register(registry.METHODS, "own-mean", PriorMean)

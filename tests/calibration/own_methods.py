@@ -14,7 +14,7 @@ from pmcl.calibration import CalibrationMethod, Chains, PointEstimate, setting
 class PriorDraws(CalibrationMethod):
     """Draws from the prior, which needs no readings."""
 
-    name: ClassVar[str] = "prior-draws"
+    name: ClassVar[str] = "own-draws"
     description: ClassVar[str] = "independent draws from the prior"
 
     scale: float = setting(1.0, "Factor on each draw.", kind=float, least=0.5, most=4.0)
@@ -34,7 +34,7 @@ class PriorDraws(CalibrationMethod):
 class PriorMean(CalibrationMethod):
     """The mean of the prior, with its standard deviation as the standard error."""
 
-    name: ClassVar[str] = "prior-mean"
+    name: ClassVar[str] = "own-mean"
     description: ClassVar[str] = "the mean of the prior"
 
     particles: int = setting(7, "Particles, of which it makes no use.", least=3)

@@ -42,7 +42,7 @@ def test_calibrate_labels_draws_without_trajectories(log, tmp_path):
     assert "trajectories" not in group_names(data)
     assert log_joint(data) is None
     found = settings(data)
-    assert (found["method"], found["scale"], found["reverse"], found["seed"]) == ("prior-draws", 2.0, False, 4)
+    assert (found["method"], found["scale"], found["reverse"], found["seed"]) == ("own-draws", 2.0, False, 4)
     pmcl.write_posterior(data, tmp_path / "p.nc")
     again = pmcl.read_posterior(tmp_path / "p.nc")
     np.testing.assert_array_equal(theta_draws(again), theta_draws(data))
@@ -50,12 +50,12 @@ def test_calibrate_labels_draws_without_trajectories(log, tmp_path):
 
 
 def test_a_name_stands_for_a_method_with_its_defaults(log):
-    by_name = pmcl.calibrate(log, method="prior-draws", draws=20, check=False)
+    by_name = pmcl.calibrate(log, method="own-draws", draws=20, check=False)
     np.testing.assert_array_equal(theta_draws(by_name), _prior_draws(log, 4, 20, 0))
 
 
 def test_calibrate_labels_a_point_estimate(log, tmp_path):
-    data = pmcl.calibrate(log, method="prior-mean")
+    data = pmcl.calibrate(log, method="own-mean")
     bound = pmcl.default_model(log).bind(log)
     np.testing.assert_array_equal(theta_draws(data), bound.prior_mean()[None, None, :])
     errors = find_group(data, "sample_stats")["standard_error"]
@@ -73,7 +73,7 @@ def test_calibrate_labels_a_point_estimate(log, tmp_path):
     by_values = pmcl.localize(log, theta=dict(zip(bound.names, bound.prior_mean(), strict=True)), particles=50)
     np.testing.assert_array_equal(by_estimate.pose_mean, by_values.pose_mean)
     write_report(back, tmp_path / "p.html")
-    assert "prior-mean" in (tmp_path / "p.html").read_text()
+    assert "own-mean" in (tmp_path / "p.html").read_text()
 
 
 def test_the_command_line_has_method_and_settings(log, tmp_path):
@@ -81,21 +81,21 @@ def test_the_command_line_has_method_and_settings(log, tmp_path):
     output = tmp_path / "p.nc"
     shown = "".join(_command("calibrate", "--help").stdout.split())  # lines may be broken anywhere
     for text in (
-        "[particle-gibbs|ensemble|prior-draws|prior-mean]",
-        "--scale FLOAT RANGE Factor on each draw. [default: 1.0 for prior-draws]",
+        "|own-draws|own-mean]",
+        "--scale FLOAT RANGE Factor on each draw. [default: 1.0 for own-draws]",
         "--reverse / --no-reverse",
-        "25 for conditional, 500 for smoothing, 200 for ensemble, 7 for prior-mean",
+        ", 7 for own-mean",
     ):
         assert "".join(text.split()) in shown
     done = _command(
-        "calibrate", tmp_path / "log.nc", "-o", output, "--method", "prior-draws", "--scale", "2", "--reverse",
+        "calibrate", tmp_path / "log.nc", "-o", output, "--method", "own-draws", "--scale", "2", "--reverse",
         "--order", "sorted", "--draws", "20", "--chains", "2", "--seed", "3",
     )  # fmt: skip
     assert done.exit_code == 3, done.output  # two chains of twenty draws are too few
     data = pmcl.read_posterior(output)
     np.testing.assert_array_equal(theta_draws(data), 2.0 * _prior_draws(log, 2, 20, 3)[:, ::-1])
     assert settings(data)["order"] == "sorted"
-    estimate = _command("calibrate", tmp_path / "log.nc", "-o", output, "--method", "prior-mean")
+    estimate = _command("calibrate", tmp_path / "log.nc", "-o", output, "--method", "own-mean")
     assert estimate.exit_code in (0, 4), estimate.output
     assert parameter_names(pmcl.read_posterior(output)) == parameter_names(data)
 
@@ -103,13 +103,13 @@ def test_the_command_line_has_method_and_settings(log, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--scale", "2"), "--scale belongs to the method prior-draws: leave it out"),
-        (("--method", "prior-draws", "--particles", "9"), "--particles belongs to the method particle-gibbs, ensemble"),
-        (("--method", "prior-draws", "--scale", "9"), "9.0 is not in the range 0.5<=x<=4.0"),
-        (("--method", "prior-draws", "--order", "odd"), "'odd' is not one of 'plain', 'sorted'"),
-        (("--method", "prior-mean", "--particles", "2"), "2 is not in the range x>=3"),
-        (("--method", "prior-mean", "--particles", "many"), "'many' is not a valid integer"),
-        (("--method", "prior"), "'prior' is not one of"),
+        (("--scale", "2"), "--scale belongs to the method own-draws: leave it out"),
+        (("--method", "own-draws", "--particles", "9"), "--particles belongs to the method particle-gibbs, ensemble, "),
+        (("--method", "own-draws", "--scale", "9"), "9.0 is not in the range 0.5<=x<=4.0"),
+        (("--method", "own-draws", "--order", "odd"), "'odd' is not one of 'plain', 'sorted'"),
+        (("--method", "own-mean", "--particles", "2"), "2 is not in the range x>=3"),
+        (("--method", "own-mean", "--particles", "many"), "'many' is not a valid integer"),
+        (("--method", "pryor"), "'pryor' is not one of"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused_in_one_line(options, message, log, tmp_path):
@@ -123,10 +123,10 @@ def test_settings_that_do_not_fit_are_refused_in_one_line(options, message, log,
 
 def test_compare_knows_the_methods(log, tmp_path):
     """The reference and one method of pmcl against both of the tests."""
-    comparison = compare(log, "prior-draws,prior-mean:9,plain:8", seconds=0.5, chains=2)
+    comparison = compare(log, "own-draws,own-mean:9,plain:8", seconds=0.5, chains=2)
     assert comparison.failures == ()
     draws, mean, plain = comparison.results
-    assert [str(result.method) for result in comparison.results] == ["prior-draws", "prior-mean:9", "plain:8"]
+    assert [str(result.method) for result in comparison.results] == ["own-draws", "own-mean:9", "plain:8"]
     assert (draws.chains, draws.draws, mean.draws) == (2, 400, 1)
     bound = pmcl.default_model(log).bind(log)
     np.testing.assert_array_equal(mean.mean, bound.prior_mean())
@@ -136,17 +136,18 @@ def test_compare_knows_the_methods(log, tmp_path):
     assert plain.draws > 1
     text = comparison_text(comparison)
     write_comparison(comparison, tmp_path / "page.html")
-    for name in ("prior-draws", "prior-mean:9"):
+    for name in ("own-draws", "own-mean:9"):
         assert name in text
         assert name in (tmp_path / "page.html").read_text()
-    with pytest.raises(SamplingError, match="prior-draws without a number of particles"):
-        compare(log, "prior-draws:25")
+    with pytest.raises(SamplingError, match="own-draws without a number of particles"):
+        compare(log, "own-draws:25")
 
 
 def test_names_of_methods():
-    assert method_names() == ("particle-gibbs", "ensemble", "prior-draws", "prior-mean")
-    assert method_class("prior-mean") is PriorMean
-    assert as_method("prior-draws") == PriorDraws()
+    assert method_names()[:2] == ("particle-gibbs", "ensemble"), "pmcl's own come first"
+    assert method_names()[-2:] == ("own-draws", "own-mean")
+    assert method_class("own-mean") is PriorMean
+    assert as_method("own-draws") == PriorDraws()
     with pytest.raises(SamplingError, match="did you mean 'ensemble'"):
         as_method("ensembel")
     with pytest.raises(SamplingError, match="a calibration method or its name, but got int"):

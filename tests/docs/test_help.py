@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import pmcl
 from pmcl import defaults
-from pmcl.calibration import Ensemble, ParticleGibbs
+from pmcl.calibration import ExpectationMaximisation, ParticleGibbs
 from pmcl.cli.commands import pmcl as application
 from pmcl.logs import read_bag, read_barfoot, read_carmen, read_mrclam, read_wean
 
@@ -83,8 +83,9 @@ def test_options_have_the_defaults_of_the_functions_they_set(path):
 def test_settings_without_a_default_of_their_own_say_what_they_become():
     shown = " ".join(_help("calibrate").split())
     methods = {kernel: ParticleGibbs(kernel=kernel) for kernel in ("conditional", "smoothing")}
-    for name, method in {**methods, "ensemble": Ensemble()}.items():
+    for name, method in {**methods, "em": ExpectationMaximisation()}.items():
         assert f"{method.usual_particles} for {name}" in shown
+    assert "by the measured scatter of the evidence for ensemble" in shown
     assert f"Sweeps from one stored draw to the next. [default: {ParticleGibbs.sweeps_per_draw}]" in shown
     localized = " ".join(_help("localize").split())
     assert f"[default: {defaults.LOCALIZATION_DRAWS}]" in localized

@@ -7,12 +7,12 @@ import pytest
 from oracles import kalman
 from oracles.random_walk_model import RailSensor, rail_log, rail_model
 
+from pmcl.filtering.linearised_evidence import LinearisedEvidence, improved
 from pmcl.filtering.particle_filter import log_joint, make_rng, run_filter
+from pmcl.filtering.reading_information import information_of
 from pmcl.identifiability import identify
-from pmcl.identifiability.approximate import curvature_at, log_posterior
-from pmcl.identifiability.curvature import information_of
-from pmcl.identifiability.evidence import LinearisedEvidence, improved
 from pmcl.models.robot_model import default_model
+from pmcl.sampling.approximate import curvature_at, log_posterior
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.simulations import simulate_landmark_field
 

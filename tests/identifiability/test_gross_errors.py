@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmcl.filtering.linearised_evidence import LinearisedEvidence
 from pmcl.identifiability import identify
-from pmcl.identifiability.evidence import LinearisedEvidence
 from pmcl.models.robot_model import default_model
 from pmcl.simulations import simulate_landmark_field
 

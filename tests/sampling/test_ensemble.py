@@ -13,8 +13,10 @@ from oracles.random_walk_model import rail_log, rail_model
 from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.errors import SamplingError
 from pmcl.filtering.particle_filter import log_joint
-from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers, run_ensemble
+from pmcl.sampling.ensemble import PseudoMarginalTarget, estimates_ratio, first_walkers, run_ensemble
+from pmcl.sampling.near_mode import near_mode
 from pmcl.sampling.options import RunOptions
+from pmcl.sampling.pseudo_marginal import chosen_particles
 
 T = 10
 MATTERS = 0.4
@@ -40,15 +42,16 @@ def _moments(theta, exact):
     return features.mean(axis=(0, 1)), chain_standard_error(features, batches=5)
 
 
-def _run_ensemble(bound, draws, burn_in):
+def _run_ensemble(bound, draws, burn_in, move="stretch"):
     options = RunOptions(draws=draws, chains=12, seed=1, trajectories=1)
-    return Ensemble(particles=60, burn_in=burn_in).run(bound, options)
+    return Ensemble(particles=60, burn_in=burn_in, move=move).run(bound, options)
 
 
 @pytest.mark.slow
-def test_ensemble_and_particle_gibbs_have_the_exact_posterior(bound, exact):
+@pytest.mark.parametrize("move", ["stretch", "de"])
+def test_ensemble_and_particle_gibbs_have_the_exact_posterior(bound, exact, move):
     """Twelve walkers, four chains; against the grid and against each other."""
-    ensemble = _run_ensemble(bound, 1200, 200)
+    ensemble = _run_ensemble(bound, 1200, 200, move)
     method = ParticleGibbs(burn_in_particles=100, data_rate=5, sweeps_per_draw=1, particles=15)
     gibbs = method.run(bound, RunOptions(draws=1000, chains=4, seed=2, trajectories=1))
     found = [_moments(chains.theta, exact) for chains in (ensemble, gibbs)]
@@ -85,6 +88,16 @@ def test_an_estimate_is_a_function_of_theta_and_seed(bound):
 @pytest.mark.parametrize("theta", [[-0.1, 0.4], [0.5, -1e-9]])
 def test_theta_outside_the_prior_has_no_density(bound, theta):
     assert PseudoMarginalTarget(bound, 20, 1)(np.array(theta))[0] == -np.inf
+
+
+def test_the_number_of_particles_follows_from_the_scatter_of_the_evidence(bound):
+    """More of them where the readings are sharper than the motion."""
+    near = near_mode(bound, 1)
+    usual = chosen_particles(estimates_ratio(bound, near), 1)
+    sharp = near._replace(centre=np.log([1.0, 0.02]))
+    assert chosen_particles(estimates_ratio(bound, sharp), 1) > 4 * usual
+    run = Ensemble(burn_in=2).run(bound, RunOptions(draws=2, chains=6, seed=1, trajectories=1))
+    assert run.settings["particles"] == usual
 
 
 def test_the_ensemble_starts_from_the_best_of_many_draws(bound):

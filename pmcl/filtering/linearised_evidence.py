@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pmcl.filtering.kernels.linear import factorise
 from pmcl.filtering.particle_filter import log_joint
-from pmcl.identifiability.curvature import information_of
+from pmcl.filtering.reading_information import information_of
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables

@@ -1,9 +1,9 @@
 """The posterior of theta under a linearised model: its mode, and weighted draws of it.
 
-The log evidence of :mod:`~pmcl.identifiability.evidence` plus the log prior is a density of a few dimensions that takes
-some tenth of a millisecond to evaluate. Its mode is found by L-BFGS-B in unconstrained parameters. Around it, draws of
-a multivariate t are weighted by the density (importance sampling), so that the prior counts with its whole shape where
-the log tells nothing.
+The log evidence of :mod:`~pmcl.filtering.linearised_evidence` plus the log prior is a density of a few dimensions
+that takes some tenth of a millisecond to evaluate. Its mode is found by L-BFGS-B in unconstrained parameters. Around
+it, draws of a multivariate t are weighted by the density (importance sampling), so that the prior counts with its
+whole shape where the log tells nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from pmcl.identifiability.evidence import LinearisedEvidence
+from pmcl.filtering.linearised_evidence import LinearisedEvidence
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.transforms import Unconstrained
 

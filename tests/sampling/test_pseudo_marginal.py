@@ -1,0 +1,134 @@
+"""Particle marginal Metropolis-Hastings, plain and correlated, against the exact posterior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles import kalman
+from oracles.monte_carlo import TOLERANCE, chain_standard_error
+from oracles.random_walk_model import rail_log, rail_model
+
+from pmcl.calibration import RunOptions
+from pmcl.calibration.pmmh import ParticleMetropolis
+from pmcl.filtering.kernels.stepwise import hilbert_key
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.sampling import pseudo_marginal
+from pmcl.sampling.pseudo_marginal import chosen_particles, draw_numbers, estimate_evidence, paths_of, redrawn_ratio
+
+T = 12
+# Biases of means, squares and product that matter, in posterior standard deviations.
+MATTERS = np.array([0.35, 0.35, 0.7, 0.7, 0.5])
+THETA = np.array([0.5, 0.4])
+
+
+@pytest.fixture(scope="module")
+def bound():
+    return rail_model().bind(rail_log(T, seed=3, missing=(7,)))
+
+
+@pytest.fixture(scope="module")
+def model(bound):
+    return kalman.linear_model(bound.tables(THETA)[0])
+
+
+@pytest.fixture(scope="module")
+def exact(bound, model):
+    def log_prior(q, r):
+        return bound.parameters[0].prior.logpdf(q) + bound.parameters[1].prior.logpdf(r)
+
+    return kalman.grid_posterior(model, log_prior, top=(4.0, 4.0))
+
+
+def _off(bound, exact, method, draws):
+    chains = method.run(bound, RunOptions(draws=draws, chains=4, seed=5, trajectories=2))
+    z = (chains.theta - exact.mean) / exact.std
+    features = np.concatenate([z, z**2 - 1.0, z[..., :1] * z[..., 1:] - exact.correlation], axis=-1)
+    error = chain_standard_error(features, batches=5)
+    return features.mean(axis=(0, 1)) / error, MATTERS / error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("blocks", "particles"), [(1, 40), (6, 16)])
+def test_the_posterior_is_exact_with_few_particles(bound, exact, blocks, particles):
+    method = ParticleMetropolis(particles=particles, blocks=blocks, tuning_steps=(50, 100), proposals_per_draw=4)
+    off, sharpness = _off(bound, exact, method, 800)
+    assert sharpness.min() > TOLERANCE, sharpness.round(1)
+    assert np.abs(off).max() <= TOLERANCE, off.round(1)
+
+
+@pytest.mark.slow
+def test_an_estimate_that_is_drawn_again_for_the_current_state_is_noticed(bound, exact, monkeypatch):
+    """Monte Carlo within Metropolis: the classical mistake. Both estimates of a ratio are then drawn anew."""
+    real = pseudo_marginal.estimate_evidence
+
+    def biased(bound, theta, particles, numbers, **options):
+        found = real(bound, theta, particles, numbers, **options)
+        fresh = numbers.copy()
+        fresh[:-1] += np.uint64(1)
+        # What a redrawn estimate of the current state would add to the log of the ratio.
+        return found._replace(log_evidence=found.log_evidence + 0.5 * real(bound, theta, particles, fresh).log_evidence)
+
+    monkeypatch.setattr("pmcl.sampling.particle_target.estimate_evidence", biased)
+    method = ParticleMetropolis(particles=16, tuning_steps=(50, 100), proposals_per_draw=4)
+    off, _ = _off(bound, exact, method, 600)
+    assert np.abs(off).max() > TOLERANCE
+
+
+@pytest.mark.parametrize("blocks", [1, 5, 30])
+def test_the_estimate_is_unbiased_whatever_the_blocks(bound, model, blocks):
+    """Also with more blocks than rows, and resampled in the order of a curve."""
+    rng = make_rng(7)
+    exact = float(kalman.log_evidence(model, *THETA))
+    found = np.array(
+        [estimate_evidence(bound, THETA, 200, draw_numbers(rng, blocks)).log_evidence for _ in range(800)]
+    )
+    ratio = np.exp(found - exact)
+    error = ratio.std(ddof=1) / np.sqrt(ratio.size)
+    assert error < 0.04
+    assert abs(ratio.mean() - 1.0) < TOLERANCE * error
+
+
+def test_an_estimate_is_a_function_of_its_numbers(bound):
+    rng = make_rng(1)
+    numbers = draw_numbers(rng, 4)
+    first, again = (estimate_evidence(bound, THETA, 30, numbers) for _ in range(2))
+    assert first.log_evidence == again.log_evidence
+    np.testing.assert_array_equal(paths_of(first, 3)[0][0], paths_of(again, 3)[0][0])
+    numbers[2] += np.uint64(1)
+    other = estimate_evidence(bound, THETA, 30, numbers)
+    # The rows before the third block are the same, those of the block are not.
+    np.testing.assert_array_equal(first.passes[0].particles[:6], other.passes[0].particles[:6])
+    assert np.all(first.passes[0].particles[6] != other.passes[0].particles[6])
+
+
+def test_correlated_estimates_differ_less_than_independent_ones(bound):
+    """By the share of the blocks that is redrawn; so fewer particles will do."""
+    rng = make_rng(2)
+
+    def spread(blocks):
+        differences = []
+        for _ in range(300):
+            numbers = draw_numbers(rng, blocks)
+            first = estimate_evidence(bound, THETA, 30, numbers).log_evidence
+            numbers[rng.integers(blocks)] = draw_numbers(rng, 0)[0]
+            differences.append(estimate_evidence(bound, 1.01 * THETA, 30, numbers).log_evidence - first)
+        return float(np.std(differences))
+
+    assert spread(T) < 0.5 * spread(1)
+    plain, correlated = (chosen_particles(redrawn_ratio(bound, THETA, blocks), 0) for blocks in (1, T))
+    assert plain >= correlated
+
+
+def test_impossible_parameters_have_no_evidence(bound):
+    numbers = draw_numbers(make_rng(1), 1)
+    assert estimate_evidence(bound, np.array([-0.5, 0.4]), 20, numbers).log_evidence == -np.inf
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4])
+def test_the_hilbert_curve_visits_every_cell_once_and_goes_from_neighbour_to_neighbour(size):
+    bits = 3
+    cells = np.stack(np.meshgrid(*[np.arange(2**bits)] * size, indexing="ij"), axis=-1).reshape(-1, size)
+    keys = np.array([hilbert_key(cell.astype(np.int64), bits) for cell in cells])
+    assert sorted(keys) == list(range(len(cells)))
+    steps = np.abs(np.diff(cells[np.argsort(keys)], axis=0)).sum(axis=1)
+    assert (steps == 1).all()
