@@ -73,6 +73,7 @@ for write in (
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="files have no limits there")
 def test_a_full_disk_costs_no_results(tmp_path):
     done = subprocess.run(

@@ -70,6 +70,7 @@ def test_without_a_reference_no_error_is_told(run, log, posterior, tmp_path):
     assert "error" not in result.stdout
 
 
+@pytest.mark.slow
 def test_the_model_of_the_calibration_comes_with_the_posterior(run, log_file, tmp_path):
     model, posterior = tmp_path / "model.toml", tmp_path / "posterior.nc"
     model.write_text("[sensors.range]\noutliers = true\n[fixed]\nsigma_left = 0.02\n")

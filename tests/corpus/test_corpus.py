@@ -31,7 +31,7 @@ def problems(family, sound, runner, folder, *, quick):
     for command in FAMILIES[family].warm(sound):
         assert runner.warm(*command).status in (0, 3), command
     cases = quick_cases(family, sound) if quick else FAMILIES[family].cases(sound)
-    assert len(cases) >= 10
+    assert cases
     results = [checked(case, runner, folder / "case") for case in cases]
     return [f"{result.case.title}: {result.problem}" for result in results if result.problem]
 

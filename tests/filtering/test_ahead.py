@@ -86,6 +86,7 @@ def two_processors(monkeypatch):
     return "ahead._processors = lambda: 2"
 
 
+@pytest.mark.slow
 def test_the_helper_compiles_all_and_a_second_run_says_nothing(tmp_path, two_processors):
     waiting = "assert ahead._helpers[0].wait(200) == 0"
     assert _run(tmp_path, before=two_processors, after=waiting) == ["3", "4", "1", "1", "1"]

@@ -123,7 +123,8 @@ def global_starts(theta, count):
         yield drives[k % 5].select(row, row + 60)
 
 
-@pytest.mark.parametrize("level", EACH_LEVEL)
+@pytest.mark.slow
+@pytest.mark.parametrize("level", LEVELS)
 def test_global_starts_converge(level, capsys):
     """The particle number that the documentation recommends for a start anywhere is the default, 500."""
     theta = LEVELS[level]

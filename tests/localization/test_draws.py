@@ -156,7 +156,9 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize("draws", [1, DRAWS])
-@pytest.mark.parametrize("effects", EFFECTS)
+@pytest.mark.parametrize(
+    "effects", [pytest.param(name, marks=pytest.mark.slow) if EFFECTS[name] else name for name in EFFECTS]
+)
 def test_the_filter_is_its_twin(room_log, theta, effects, draws, rng):
     """Noise alone, effects on motion and mixture, and mounts that differ, for which each draw casts its own rays."""
     model = RobotModel(

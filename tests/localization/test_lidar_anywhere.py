@@ -26,6 +26,7 @@ def room():
     return simulate_lidar_room(120, 5)
 
 
+@pytest.mark.slow
 def test_particles_by_the_area_that_the_robot_may_be_on(room):
     grid = room.grid_map
     area = np.count_nonzero(grid.cells == 0) * grid.resolution**2

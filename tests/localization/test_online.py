@@ -45,6 +45,7 @@ def test_a_robot_among_walls(room_log, theta, method):
     assert_same(feed(robot, room_log), pmcl.localize(room_log, None, data, method, **settings))
 
 
+@pytest.mark.slow
 def test_a_robot_that_may_be_anywhere_and_is_carried_away(room_log, theta):
     """Annealing, adaptive numbers and recovery are the same step by step."""
     options = FilterOptions(recover=True, least_particles=60, scheme="systematic", threshold=0.7)

@@ -183,7 +183,11 @@ def test_a_known_heading_anywhere_is_uniform_in_position_only(log):
 
 @pytest.mark.parametrize(
     ("std", "message"),
-    [((0.1, 0.1, 0.0), "three positive"), ((0.1, INF, 0.1), "x or y alone"), ((0.1, 0.1, math.nan), "three positive")],
+    [
+        ((0.1, 0.1, 0.0), "three positive"),
+        ((0.1, INF, 0.1), "in x and y, or in neither"),
+        ((0.1, 0.1, math.nan), "three positive"),
+    ],
 )
 def test_impossible_start_beliefs_are_refused(log, std, message):
     with pytest.raises(ModelError, match=message):

@@ -298,6 +298,7 @@ def exact_moments(log):
     return first, np.sqrt(second - first**2)
 
 
+@pytest.mark.slow
 def test_the_posterior_is_exact_and_transport_moves_are_accepted(calibrated):
     names = ("sigma_turn", "sigma_compass", "compass_offset")
     draws = np.array([calibrated.posterior[name].values.ravel() for name in names])
@@ -311,6 +312,7 @@ def test_the_posterior_is_exact_and_transport_moves_are_accepted(calibrated):
     assert pmcl.verdict(calibrated).adequate
 
 
+@pytest.mark.slow
 def test_the_posterior_file_holds_the_readings(calibrated):
     (held,) = log_contents(calibrated)
     assert held.readings == 149
@@ -320,6 +322,7 @@ def test_the_posterior_file_holds_the_readings(calibrated):
     assert calibrated.predictive_check["residual_compass"].shape == (150,)
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_sensor(calibrated, tmp_path):
     write_report(calibrated, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -331,6 +334,7 @@ def test_the_report_shows_the_sensor(calibrated, tmp_path):
 # Localization.
 
 
+@pytest.mark.slow
 def test_localization_off_and_on_line_are_the_same(calibrated):
     log = compass_log(OFFSET)
     track = pmcl.localize(log, model=MODEL, posterior=calibrated, method="mean", particles=200, seed=2)

@@ -197,6 +197,7 @@ calibrate(
 """
 
 
+@pytest.mark.slow
 def test_a_real_process_stops_at_a_real_signal(tmp_path):
     path = tmp_path / "run.h5"
     folders = [str(Path(pmcl.__file__).parents[1]), str(Path(__file__).resolve().parents[1])]
