@@ -28,7 +28,8 @@ class ExpectationMaximisation(CalibrationMethod):
     has, those of its sensors included: the root mean square residual where a noise is Gaussian, a numerical search
     elsewhere. It is a point estimate and no posterior: the prior says only what values are allowed. Convergence is
     slow where path and parameters explain each other, as EM always is; iterations begin at a plausible multiple of
-    the prior mean.
+    the prior mean. Standard errors are from the information about the parameters with the path integrated out, by the
+    model that is linearised along the smoothed path.
 
     Attributes
     ----------
@@ -42,7 +43,6 @@ class ExpectationMaximisation(CalibrationMethod):
     References
     ----------
     Eliazar, Parr, Learning probabilistic motion models for mobile robots, ICML 2004.
-    Louis, Finding the observed information matrix when using the EM algorithm, JRSS B 44, 1982.
     """
 
     name: ClassVar[str] = "em"

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError, SamplingError
 from pmcl.filtering.estimated_path import plausible_theta
-from pmcl.filtering.particle_filter import draw_paths, log_joint, make_rng, run_filter
+from pmcl.filtering.linearised_evidence import LinearisedEvidence
+from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
-from pmcl.sampling.point_estimates import likeliest_along, line_hessian, mean_log_joint, standard_errors
+from pmcl.sampling.near_mode import smoothed_means
+from pmcl.sampling.point_estimates import likeliest_along, line_hessian, standard_errors
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.transforms import Unconstrained
 
@@ -21,10 +23,6 @@ __all__ = ["Maximum", "expectation_maximisation", "smoothed_paths"]
 
 Float = NDArray[np.float64]
 
-# Standard errors rest on paths of so many filters, so many each: paths of one filter have states in common.
-_FILTERS, _PATHS_EACH = 12, 12
-# Step of the score's differences in unconstrained parameters.
-_SCORE_STEP = 1e-3
 # A filter that loses the robot is run again with twice the particles, at most so often.
 _RETRIES = 4
 
@@ -106,7 +104,7 @@ def expectation_maximisation(
     Returns
     -------
     Maximum
-        Its standard errors are from the observed information, by Louis' identity.
+        Its standard errors are from the information of the model that is linearised along the smoothed path.
 
     Raises
     ------
@@ -132,26 +130,20 @@ def expectation_maximisation(
             break
     u = np.mean(visited[len(visited) // 2 :], axis=0)
     theta = transform.from_line(u)[0]
-    return Maximum(theta, _louis_errors(bound, transform, u, particles, rng), len(visited))
+    return Maximum(theta, _errors(bound, transform, u, rng), len(visited))
 
 
-def _louis_errors(
-    bound: BoundModel, transform: Unconstrained, u: Float, particles: int, rng: np.random.Generator
-) -> Float | None:
-    """Return standard errors: complete information less that of the paths (Louis, JRSS B 44, 1982)."""
+def _errors(bound: BoundModel, transform: Unconstrained, u: Float, rng: np.random.Generator) -> Float | None:
+    """Return standard errors from the information about theta with the path integrated out.
+
+    Louis' identity, complete information less the variance of the complete score, would use the drawn trajectories.
+    But where the path hides nine tenths of the information, as odometry noise has it, the difference drowns in the
+    Monte Carlo error of both: with 144 paths of a 400 s log it gave errors eight times too great.
+    """
     theta = transform.from_line(u)[0]
     try:
-        groups = [smoothed_paths(bound, theta, particles, _PATHS_EACH, rng) for _ in range(_FILTERS)]
+        references = smoothed_means(bound, theta, rng)
     except (FilterError, ModelError):
         return None
-    paths = [np.concatenate(of_log) for of_log in zip(*groups, strict=True)]
-    complete = -line_hessian(lambda value: mean_log_joint(bound, transform.from_line(value)[0], paths), u)
-    scores = np.zeros((len(paths[0]), u.size))
-    for k in range(u.size):
-        for sign in (1.0, -1.0):
-            moved = u.copy()
-            moved[k] += sign * _SCORE_STEP
-            for tables, of_log in zip(bound.tables(transform.from_line(moved)[0]), paths, strict=True):
-                values = [log_joint(tables, np.ascontiguousarray(path)) for path in of_log]
-                scores[:, k] += sign * np.array(values) / (2.0 * _SCORE_STEP)
-    return standard_errors(transform, u, complete - np.cov(scores.T).reshape(u.size, u.size))
+    evidence = LinearisedEvidence(bound, theta, references)
+    return standard_errors(transform, u, -line_hessian(lambda value: evidence(transform.from_line(value)[0]), u))

@@ -56,7 +56,7 @@ def test_the_fixed_point_of_em_is_the_maximum_likelihood_estimate(bound, exact, 
 
 
 def test_em_ends_near_the_maximum_of_the_exact_likelihood(bound, exact):
-    """Within its Monte Carlo error; and Louis' identity gives the information there."""
+    """Within its Monte Carlo error; and the standard errors are those of the exact likelihood there."""
     theta, error = exact
     found = ExpectationMaximisation(particles=200, iterations=40, paths=30).run(bound, OPTIONS)
     assert isinstance(found, PointEstimate)
