@@ -50,6 +50,9 @@ def without_candidates(log):
         (Gain(2.0, 0.5), Gain(40.0, 9.0), False),  # never worth a parameter
         (Gain(6.0, 7.0), Gain(60.0, 9.0), False),  # the held-out part says nothing
         (Gain(79.0, 55.0), Gain(157.0, 76.0), True),  # a few gross errors explained
+        (Gain(79.0, 55.0, 50.0), Gain(157.0, 76.0, 70.0), True),
+        (Gain(79.0, 35.0, 80.0), Gain(157.0, 66.0, 80.0), False),  # a single gross error explained
+        (Gain(10.0, 4.0, 3.0), Gain(42.0, 9.0, 40.0), False),
     ],
 )
 def test_what_confirms_an_effect_and_settles_an_alarm_in_doubt(heldout, whole, certain):
