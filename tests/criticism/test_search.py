@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism.fitting.quick_fit import GLANCE, quick_fit
-from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.trials import PRACTICAL, Trial
 from pmcl.criticism.judging import judged_log
 from pmcl.criticism.naming import lost_robot, refits, search
 from pmcl.criticism.naming.choice import worth_it
@@ -60,7 +60,8 @@ def test_what_confirms_an_effect_and_settles_an_alarm_in_doubt(heldout, whole, c
     assert Outcome(trial, None, [trial]).certain is certain
     assert worth_it(trial, 3.2) is certain
     # A remarkable score is a test by itself.
-    assert worth_it(replace(trial, z=4.0), 3.2) is (heldout.total > 0.0 and whole.total > whole.se)
+    several = heldout.largest < heldout.total and whole.largest < whole.total - PRACTICAL
+    assert worth_it(replace(trial, z=4.0), 3.2) is (heldout.total > 0.0 and whole.total > whole.se and several)
 
 
 def test_nothing_found_settles_nothing():
@@ -108,8 +109,9 @@ def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(mo
     best = replace(current, effect=effect_named("odometry-arc", log), on_fit=Gain(20.0, 5.0),
                    on_heldout=Gain(10.0, 4.0), on_all=Gain(30.0, 6.0))  # fmt: skip
     assert best.confirmed
-    monkeypatch.setattr(one.refits, "refit", lambda current, chosen, *_: [best] if chosen == "likeliest" else [])
-    monkeypatch.setattr(search, "shortlist", lambda *_, **__: "likeliest")
+    likeliest = [RankedEffect(best.effect, 0.0)]
+    monkeypatch.setattr(one.refits, "refit", lambda current, chosen, *_: [best] if chosen is likeliest else [])
+    monkeypatch.setattr(search, "shortlist", lambda *_, **__: likeliest)
     monkeypatch.setattr(one, "_formula_trials", lambda *_: None)
     monkeypatch.setattr(one, "_beside_formulas", lambda *_: "accepted")
     monkeypatch.setattr(one, "_search_further", lambda *_: "searched further")
@@ -161,7 +163,7 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
     one.judged = SimpleNamespace(z=np.zeros(0))
     monkeypatch.setattr(one, "_formula_trials", lambda *_: FormulaTrials([formula], (), last.judgement, 3.0))
     monkeypatch.setattr(one.refits, "refit", lambda current, chosen, rivals: seen.append(rivals) or [])
-    monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
+    monkeypatch.setattr(one, "_found", lambda best, *_: best)
     outcome = one._search_further(last, formula, [])
     assert seen == [[formula] if confirmed else []]
     assert outcome.accepted is (formula if confirmed else None)
@@ -183,3 +185,21 @@ def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch)
     with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
         judged_log.judge_log(log, fit, (), 36, SETTINGS)
     assert str(caught.value).startswith(log.where)
+
+
+def test_a_result_says_where_held_out_rows_helped_to_choose():
+    log = simulate_landmark_field(60, 1, bearings=True)
+    one, current = without_candidates(log)
+    judgement = SimpleNamespace(p_values=np.empty(0))
+    trial = replace(current, effect=effect_named("odometry-arc", log), z=4.0)
+
+    def told(least_z=0.0):
+        return one._found(trial, (), judgement, (), least_z).chosen_on_all_rows
+
+    assert not told()
+    assert told(4.5)
+    one._only_by_all_rows = [effect_named("odometry-arc", log)]
+    assert told()
+    one._only_by_all_rows = []
+    one.refits.split = int(search.LATE_FIT_SHARE * log.n_steps)
+    assert told()
