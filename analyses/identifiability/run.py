@@ -1,6 +1,6 @@
 """What 'pmcl identify' predicts of a posterior, against the posterior that calibration then draws.
 
-    python run.py            # about twenty minutes of CPU; what is there already is not computed again
+    python run.py            # about forty minutes of CPU; what is there already is not computed again
     python run.py --small --output FOLDER
 
 Each row of results.csv is one parameter of one simulated log. Robots, lengths, drives and true parameters differ; most
@@ -136,7 +136,7 @@ KINDS = {
 }
 REPLICATES = {
     "aibo": 10, "amigobot": 10, "amigobot sharp": 4, "growing": 6, "landmarks bearings": 4, "landmarks ranges": 8,
-    "differential field": 3, "differential field corridor": 3, "differential beam": 3, "omni field": 3,
+    "differential field": 2, "differential field corridor": 2, "differential beam": 2, "omni field": 2,
 }  # fmt: skip
 SMALL = {"aibo": 1, "landmarks ranges": 1, "differential field": 1}
 
