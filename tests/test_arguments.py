@@ -130,7 +130,7 @@ PARTICLE_GIBBS = {
     "settling_sweeps": whole(1), "sweeps_per_draw": whole(1),
     "tuning_sweeps": lambda value: isinstance(value, tuple) and not value,
 }  # fmt: skip
-ENSEMBLE = {"particles": whole(2), "burn_in": optional(whole(1))}
+ENSEMBLE = {"particles": optional(whole(2)), "burn_in": optional(whole(1))}
 CRITICIZE = {
     "log": nothing, "model": none, "effects": optional(lambda value: isinstance(value, list | tuple) and not value),
     "particles": whole(50, FEW), "seed": seed, "level": real(0.0, 0.5, open_low=True, open_high=True),

@@ -73,8 +73,17 @@ def fingerprint(bound: BoundModel, settings: Mapping[str, Any]) -> str:
         if isinstance(effect.change, Formula):
             digest.update(repr(effect.change).encode())
     # What the code of effects and parts does shows in their tables. At the prior mean many effects do nothing.
+    # Formulas are told by their text above; here they stay at their nulls, since some depend on an estimated path.
+    formulas = {
+        parameter.name: null
+        for effect in bound.effects
+        if isinstance(effect.change, Formula)
+        for parameter, null in zip(effect.parameters, effect.null, strict=True)
+    }
     for quantile in _QUANTILES:
-        theta = np.array([float(parameter.prior.ppf(quantile)) for parameter in bound.parameters])
+        theta = np.array(
+            [formulas.get(parameter.name, float(parameter.prior.ppf(quantile))) for parameter in bound.parameters]
+        )
         for tables in bound.tables(theta):
             for table in (tables.start, tables.motion, *tables.sensors):
                 _digest_table(digest, table)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles.random_walk_model import BoundRailSensor, RailMotion, RailSensor, RailStart, rail_log, rail_model
-from pmcl.identifiability.evidence import LinearisedEvidence
 
 from pmcl.calibration import ParticleGibbs
 from pmcl.errors import DensityError, SamplingError
+from pmcl.filtering.linearised_evidence import LinearisedEvidence
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.robot_model import RobotModel
 from pmcl.sampling.ensemble import PseudoMarginalTarget
