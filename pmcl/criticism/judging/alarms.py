@@ -149,12 +149,12 @@ def judge(
     Two further rules let no few rows decide. They hold for the log and for the simulated logs alike, and never make a
     deviation larger. First, a number counts without its largest block of fifteen rows. Fluctuations are no sums, but
     relative to the root of their sum of squares, which bounds what a single row can do. Second, the variance of a score
-    grows with the squares of its own rows, where these are larger than in the simulated logs. A score is a martingale
-    when the model is right, and some tens of simulated logs say nothing of rare rows: with an ideal filter, the spread
-    of other logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the
-    sum of the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the
-    steps, M exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance
-    used here is V, or that of the simulated logs where this is larger.
+    grows with the squares of its own rows, where these are larger than in the simulated logs. A score is a martingale when the
+    model is right, and some tens of simulated logs say nothing of rare rows: with an ideal filter, the spread of other
+    logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the sum of
+    the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the steps, M
+    exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance used here
+    is V, or that of the simulated logs where this is larger.
 
     References
     ----------

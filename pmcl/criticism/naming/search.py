@@ -262,20 +262,11 @@ class Search:
         else:
             trials = refits.refit_briefly(current, trials, everything)
         trials = refits.refit_leaders(current, trials, rivals)
-        critical_z = last.judgement.critical_z
         best, _ = choose(trials)
-        unconfirmed: list[Trial] = []
-        if best is None or not worth_it(best, critical_z):
-            # What explains the fit part best may be an accident of that part. Another effect that both parts confirm,
-            # each by itself, is none.
-            twice = [trial for trial in trials if trial.on_fit.significant and worth_it(trial, critical_z)]
-            if not twice:
-                outcome = self._best_formula(formulas)
-                return outcome._replace(trials=trials + outcome.trials)
-            unconfirmed = [trial for trial in trials if not any(trial is one for one in twice)]
-            trials = twice
-        outcome = self._beside_formulas(last, current, trials, formulas)
-        return outcome._replace(trials=outcome.trials + unconfirmed)
+        if best is None or not worth_it(best, last.judgement.critical_z):
+            outcome = self._best_formula(formulas)
+            return outcome._replace(trials=trials + outcome.trials)
+        return self._beside_formulas(last, current, trials, formulas)
 
     def _best_formula(self, formulas: FormulaTrials) -> Outcome:
         """Return the best formula, if held-out rows confirm it, when no effect of the catalogue is confirmed."""
