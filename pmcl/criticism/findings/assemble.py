@@ -89,8 +89,7 @@ def found_effect(
     ]
     advice = [effect.near_twins.get(other.name) or other.near_twins.get(effect.name, "") for other in others]
     return FoundEffect(
-        effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value),
-        *accepted.on_heldout[:2],
+        effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value), *accepted.on_heldout,
         tuple(with_place(other) for other in others), tuple(dict.fromkeys(text for text in advice if text)),
         effect.finding,
     )  # fmt: skip
@@ -164,7 +163,7 @@ def candidates_of(
         refitted.append(
             Candidate(
                 *(trial.effect.name, trial.effect.where, score.z, score.p_value),
-                *(*trial.on_fit[:2], *trial.on_heldout[:2]),
+                *(*trial.on_fit, *trial.on_heldout),
                 values=values,
                 accepted=trial is accepted,
             )
