@@ -52,7 +52,7 @@ class Sizes(NamedTuple):
     repetitions: int = 40
 
 
-SMALL = Sizes(20.0, 4, (2, 50), 20, 2, 10, 3)
+SMALL = Sizes(60.0, 4, (2, 50), 20, 2, 10, 3)
 
 
 def recording(number, sizes):

@@ -8,6 +8,7 @@ never changes.
 
 from __future__ import annotations
 
+import sys
 import zlib
 from functools import partial
 
@@ -139,6 +140,6 @@ def test_independent_proposals_without_their_density_are_noticed(bound, direct, 
 @pytest.mark.slow
 def test_forgetting_the_kept_path_is_noticed(bound, direct, seeds, monkeypatch):
     """Plain smoothing with the same few particles is no right sweep."""
-    monkeypatch.setattr("test_geweke.SETTINGS", SweepSettings("smoothing", 8, 2, 0))
+    monkeypatch.setattr(sys.modules[__name__], "SETTINGS", SweepSettings("smoothing", 8, 2, 0))
     off, _ = _off(bound, direct, 600, seeds)
     assert np.abs(off).max() > TOLERANCE, off.round(1)
