@@ -36,7 +36,7 @@ def read(path):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_longer_drives_tell_more_of_the_amigobot(small):
     folder = small("posterior_samples")
     short, long = (np.load(folder / f"amigobot_{seconds}_conditional.npz") for seconds in (40, 200))
@@ -63,7 +63,7 @@ def test_rows_come_in_as_r_says_and_rounds_of_m_move_theta(small):
     assert len({row["sweeps"] for row in read(folder / "curves.csv")}) > 10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_methods_agree_with_their_reference_as_far_as_their_errors_go(small):
     folder = small("convergence_comparison")
     methods = {row["method"]: row for row in read(folder / "methods.csv")}
@@ -76,7 +76,7 @@ def test_methods_agree_with_their_reference_as_far_as_their_errors_go(small):
         assert (np.diff(wall) > 0.0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_position_error_hardly_depends_on_the_draws_per_reading(small):
     rows = {(row["draws"], row["k"]): row for row in read(small("draws_per_reading") / "results.csv")}
     assert set(rows) == {("mean", "0"), ("anew", "1"), ("anew", "5"), ("fixed", "1"), ("fixed", "5")}
@@ -85,7 +85,7 @@ def test_the_position_error_hardly_depends_on_the_draws_per_reading(small):
     assert all(float(row["standard_error"]) > 0.0 for row in rows.values())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_filter_of_few_particles_does_better_with_inflated_noise(small):
     folder = small("the_paradox")
     found = {(row["kernel"], int(row["particles"])): row for row in read(folder / "calibrations.csv")}
@@ -126,7 +126,7 @@ def localization_errors(path):
     return means
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_calibrated_parameters_localize_nearly_as_well_as_true_ones(small):
     mean = localization_errors(small("localization_error", "amigobot") / "errors_amigobot.csv")["position"]
     assert set(mean) == {"prior", "true", "mean", "map", "posterior"}
@@ -146,7 +146,7 @@ def test_a_calibrated_aibo_predicts_better_than_its_prior(small):
     assert errors["heading"]["prior"] > 1.3 * errors["heading"]["true"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_recorded_robot_has_measured_noise_instead_of_true_noise(small, shared_data):
     errors = localization_errors(small("localization_error", "mrclam") / "errors_mrclam.csv")
     assert set(errors["score"]) == {"prior", "measured", "mean", "map", "posterior"}
@@ -227,7 +227,7 @@ def test_products_suit_independent_beams_and_are_too_sure_where_the_map_is_wrong
     assert mean[right + cubes + ("position_rmse",)] > 2.0 * mean[right + many + ("position_rmse",)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_robot_in_wean_hall_is_found_with_many_particles_and_better_foreseen_once_calibrated(small, shared_data):
     folder = small("wean_hall")
     found = {

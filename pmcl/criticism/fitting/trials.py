@@ -81,6 +81,16 @@ class Trial:
         return self.on_fit.total - (len(self.effect.parameters) if self.effect is not None else 0)
 
     @property
+    def certain_merit(self) -> float:
+        """Merit less two standard errors of the gain [nat].
+
+        The gain of a model that explains a few rows depends on these rows, and its standard error is large. On a
+        recorded drive with a laser, an obstacle of 4 m radius gained 29 +- 15 nats on the fit part and 6 +- 6 on the
+        held-out part, and the latency of the laser, which is real, 15 +- 5 and 15 +- 5.
+        """
+        return self.merit - 2.0 * self.on_fit.se
+
+    @property
     def absorber(self) -> bool:
         """Whether its effect is an absorber, see :class:`~pmcl.models.effects.effect.Effect`."""
         return self.effect is not None and self.effect.absorber
