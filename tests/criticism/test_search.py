@@ -159,7 +159,7 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
     monkeypatch.setattr(one, "_formula_trials", lambda *_: FormulaTrials([formula], (), last.judgement, 3.0))
     monkeypatch.setattr(one.refits, "refit", lambda current, chosen, rivals: seen.append(rivals) or [])
     # Without a rival every effect gets a longer fit, and a glance is not enough to leave one out.
-    monkeypatch.setattr(one.refits, "refit_briefly", lambda current, trials, chosen: seen.append([]) or trials)
+    monkeypatch.setattr(one.refits, "refit_thoroughly", lambda current, trials, chosen: seen.append([]) or trials)
     monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
     outcome = one._search_further(last, formula, [])
     assert seen == [[formula] if confirmed else []]

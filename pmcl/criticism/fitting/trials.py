@@ -168,7 +168,8 @@ def try_effect(
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
-    return Trial(effect, model, fitted, scores, z, *_gains(scores, current.row_scores, split), particles)
+    gains = _gains(scores, current.row_scores, split)
+    return Trial(effect, model, fitted, scores, z, *gains, particles, thorough=effort == THOROUGH)
 
 
 def refitted(

@@ -240,7 +240,7 @@ class Search:
         """Look among formulas and all effects of the whole robot, whatever their scores.
 
         Formulas come first: beside one that explains the log, most of those effects gain next to nothing at a glance
-        and cost little time. Without one they all get a longer fit.
+        and cost little time. Without one they all get a thorough fit.
         """
         formulas = self._formula_trials(last, current)
         formula = self._best_formula(formulas).accepted
@@ -250,7 +250,7 @@ class Search:
         if rivals:
             trials = trials + refits.refit(current, untried(everything, trials), trials + rivals)
         else:
-            trials = refits.refit_briefly(current, trials, everything)
+            trials = refits.refit_thoroughly(current, trials, everything)
         trials = refits.refit_leaders(current, trials, rivals)
         best, _ = choose(trials)
         if best is None or not worth_it(best, last.judgement.critical_z):
