@@ -215,6 +215,8 @@ class DiskCache(caching._Cache):
         if file is None:
             yield True
             return
+        with contextlib.suppress(OSError):
+            file.parent.mkdir(parents=True, exist_ok=True)
         with FileLock(file.with_name(file.name + ".lock")) as lock:
             started = time.monotonic()
             mine = lock.acquire()

@@ -18,17 +18,16 @@ __all__ = ["FileLock"]
 class FileLock:
     """A lock on a file of its own, which is made when it is asked for and removed when it is given back.
 
-    A process that opens the file in the very moment in which another removes it gets a lock that no third process sees.
-    So this lock saves work that would be done twice; it must not guard what must not happen twice.
-
     Parameters
     ----------
     path : Path
         The file. Where it cannot be made or locked, the lock is granted: nothing can be kept from others there.
+    owner : str
+        Text that the file holds while the lock is taken; others can read who has it.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, owner: str = "") -> None:
+        self._path, self._owner = path, owner
         self._handle: int | None = None
 
     def __enter__(self) -> FileLock:
@@ -41,22 +40,37 @@ class FileLock:
 
     def acquire(self) -> bool:
         """Try to take the lock at once; return False while another process or thread has it."""
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.open(self._path, os.O_RDWR | os.O_CREAT)
-        except OSError:
-            return True
-        try:
-            _lock(handle)
-        except BlockingIOError:
+        while True:
+            try:
+                handle = os.open(self._path, os.O_RDWR | os.O_CREAT)
+            except OSError:
+                return True
+            try:
+                _lock(handle)
+            except BlockingIOError:
+                os.close(handle)
+                return False
+            except OSError:
+                # A file system without locks.
+                os.close(handle)
+                return True
+            if self._is_the_file(handle):
+                break
+            # The owner before removed the file after it was opened here; a third process would not see this lock.
             os.close(handle)
-            return False
-        except OSError:
-            # A file system without locks.
-            os.close(handle)
-            return True
         self._handle = handle
+        if self._owner:
+            with contextlib.suppress(OSError):
+                os.truncate(handle, 0)
+                os.write(handle, self._owner.encode())
         return True
+
+    def owner(self) -> str:
+        """Return who has the lock, as far as the file tells; empty where it does not."""
+        try:
+            return self._path.read_text(errors="replace").strip()
+        except OSError:
+            return ""
 
     def release(self) -> None:
         """Give the lock back, if it was taken."""
@@ -65,6 +79,12 @@ class FileLock:
                 self._path.unlink()
             os.close(self._handle)
             self._handle = None
+
+    def _is_the_file(self, handle: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(handle), os.stat(self._path))
+        except OSError:
+            return False
 
 
 def _lock(handle: int) -> None:

@@ -12,8 +12,11 @@ import io
 import json
 import logging
 import os
+import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,7 @@ import emcee
 import h5py
 import numpy as np
 
+from pmcl.engine.file_lock import FileLock
 from pmcl.errors import SamplingError
 from pmcl.hdf5 import UnsafeFileError, stored_arrays
 from pmcl.models.effects.formula import Formula
@@ -29,7 +33,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 from pmcl.whole_file import write_whole
 
-__all__ = ["Checkpoint", "fingerprint"]
+__all__ = ["Checkpoint", "fingerprint", "the_only_run"]
 
 _logger = logging.getLogger("pmcl.sampling")
 
@@ -100,6 +104,36 @@ def _digest_table(digest: Any, table: Any) -> None:
             digest.update(name.encode() + np.asarray(value).tobytes())
 
 
+@contextmanager
+def the_only_run(path: str | None) -> Iterator[None]:
+    """Let no other run use a checkpoint while this one does.
+
+    Parameters
+    ----------
+    path : str, optional
+        The checkpoint; nothing is locked without one. A file beside it holds the lock and tells whose it is. The
+        operating system releases the lock of a process that dies.
+
+    Raises
+    ------
+    SamplingError
+        When another run has the lock.
+    """
+    if path is None:
+        yield
+        return
+    file = Path(os.path.realpath(path))
+    began = datetime.now().astimezone().isoformat(" ", "seconds")
+    owner = f"process {os.getpid()} on {socket.gethostname()} since {began}"
+    with FileLock(file.with_name(f".{file.name}.lock"), owner) as lock:
+        if not lock.acquire():
+            raise SamplingError(
+                f"{path}: expected a checkpoint of its own, but another run is writing this one "
+                f"({lock.owner() or 'it does not say which'}); let that run end, or choose another output or checkpoint"
+            )
+        yield
+
+
 class Checkpoint:
     """The checkpoint file of one run.
 
@@ -117,10 +151,6 @@ class Checkpoint:
     SamplingError
         When the file belongs to another run, is damaged or no checkpoint, is in use, exists though nothing is to be
         resumed, or cannot be written.
-
-    Notes
-    -----
-    Two runs may use one file at the same time without harm: as the runs are the same, so is what they write.
     """
 
     def __init__(self, path: str, expected: str, *, resume: bool) -> None:

@@ -15,7 +15,7 @@ from pmcl.interrupts import stopping_on_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 from pmcl.sampling.chains import Chains
-from pmcl.sampling.checkpoint import Checkpoint, fingerprint
+from pmcl.sampling.checkpoint import Checkpoint, fingerprint, the_only_run
 from pmcl.sampling.options import RunOptions, SettingValue
 from pmcl.sampling.pool import walker_pool
 from pmcl.sampling.state import state_dimension
@@ -89,12 +89,12 @@ def run_session(
     Raises
     ------
     SamplingError
-        When the checkpoint does not fit, or the time is over before the first draw.
+        When the checkpoint does not fit or another run writes it, or the time is over before the first draw.
     KeyboardInterrupt
         After the current sweep, when Ctrl-C was pressed.
     """
     stopwatch = options.stopwatch if options.stopwatch is not None else Stopwatch()
-    with stopping_on_interrupt():
+    with stopping_on_interrupt(), the_only_run(options.checkpoint):
         file = None
         if options.checkpoint is not None:
             file = Checkpoint(options.checkpoint, fingerprint(bound, settings), resume=options.resume)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
+import socket
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +29,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.files import write_posterior
-from pmcl.sampling.checkpoint import fingerprint
+from pmcl.sampling.checkpoint import fingerprint, the_only_run
 from pmcl.sampling.options import RunOptions
 
 SHORT = ParticleGibbs(
@@ -270,6 +271,16 @@ def test_a_locked_checkpoint_is_refused_in_one_line(rail, finished):
         with pytest.raises(SamplingError, match="another program has it open") as caught:
             run(rail, checkpoint=finished, resume=True)
     assert "\n" not in str(caught.value)
+
+
+def test_two_runs_do_not_share_a_checkpoint(rail, tmp_path):
+    """The second one is told whose the file is; it must not advise to remove what another run is writing."""
+    path = tmp_path / "run.h5"
+    with the_only_run(str(path)), pytest.raises(SamplingError) as refused:
+        run(rail, checkpoint=str(path))
+    assert f"process {os.getpid()} on {socket.gethostname()} since" in str(refused.value)
+    assert "remove" not in str(refused.value)
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_checkpoint_of_another_version_is_refused(rail, finished, tmp_path):
