@@ -111,7 +111,7 @@ def leaders(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
-    """Choose the trial that certainly explains most of the fit part, see :attr:`Trial.certain_merit`.
+    """Choose the trial with the greatest evidence, see :attr:`Trial.evidence`.
 
     An absorber is chosen only if it beats the best structured candidate by more than two standard errors.
 
@@ -130,9 +130,9 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
     if not trials:
         return None, []
     structured = [trial for trial in trials if trial.effect is not None and not trial.absorber]
-    best = max(trials, key=lambda trial: trial.certain_merit)
+    best = max(trials, key=lambda trial: trial.evidence)
     if structured and best.absorber:
-        rival = max(structured, key=lambda trial: trial.certain_merit)
+        rival = max(structured, key=lambda trial: trial.evidence)
         lead = paired_gain(best.row_scores, rival.row_scores, slice(0, best.fit.bound.lengths[0]))
         if not lead.significant and rival.on_fit.significant:
             best = rival

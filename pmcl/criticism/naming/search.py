@@ -258,7 +258,7 @@ class Search:
             # What explains the fit part best may be an accident of that part. Held-out rows confirm hardly one wrong
             # effect in ten thousand, so that they may be asked about the others, too.
             confirmed = [trial for trial in trials if trial.merit > 0.0 and worth_it(trial, critical_z)]
-            if not confirmed:
+            if not confirmed or self.comes_late(last):
                 outcome = self._best_formula(formulas)
                 return outcome._replace(trials=trials + outcome.trials)
             outcome = self._beside_formulas(last, current, confirmed, formulas)
