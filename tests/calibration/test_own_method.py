@@ -36,6 +36,7 @@ def _prior_draws(log, chains, draws, seed):
     return np.array([[bound.draw_prior(rng) for _ in range(draws)] for _ in range(chains)])
 
 
+@pytest.mark.slow
 def test_calibrate_labels_draws_without_trajectories(log, tmp_path):
     data = pmcl.calibrate(log, method=PriorDraws(scale=2.0), draws=30, chains=3, seed=4)
     np.testing.assert_array_equal(theta_draws(data), 2.0 * _prior_draws(log, 3, 30, 4))
@@ -121,6 +122,7 @@ def test_settings_that_do_not_fit_are_refused_in_one_line(options, message, log,
     assert not (tmp_path / "p.nc").exists()
 
 
+@pytest.mark.slow
 def test_compare_knows_the_methods(log, tmp_path):
     """The reference and one method of pmcl against both of the tests."""
     comparison = compare(log, "own-draws,own-mean:9,plain:8", seconds=0.5, chains=2)

@@ -59,6 +59,7 @@ def test_shares_of_a_log_keep_their_meaning_in_its_first_rows():
     assert 0.1 < bias[59].max() < 0.13
 
 
+@pytest.mark.slow
 def test_a_component_that_the_path_lacks_starts_at_zero():
     log = simulate_amigobot(60.0, 3, NOISE)
     wandering = RobotModel(sensors=default_model(log).sensors, effects=(effect_named("turn-noise-correlated"),))

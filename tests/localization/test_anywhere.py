@@ -138,6 +138,7 @@ def test_global_starts_converge(level, capsys):
     assert len(done) >= 95
 
 
+@pytest.mark.slow
 def test_plain_particles_would_need_to_be_many(capsys):
     """What annealing is for: without it the same starts fail."""
     theta = LEVELS["sharp readings"]

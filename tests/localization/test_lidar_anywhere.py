@@ -55,6 +55,7 @@ def carried_away(room):
     return pmcl.RobotLog.from_dataset(dataset, grid_map=room.grid_map)
 
 
+@pytest.mark.slow
 def test_a_robot_with_a_lidar_that_was_carried_away_is_found_again(room):
     log, found, lost = carried_away(room), 0, 0
     jump = log.true_poses[100, :2] - log.true_poses[99, :2]

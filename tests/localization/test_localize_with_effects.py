@@ -96,6 +96,7 @@ def test_what_the_model_knows_helps(theta):
     assert knowing.log_evidence.mean() > ignorant.log_evidence.mean() + 100.0
 
 
+@pytest.mark.slow
 def test_effects_of_the_whole_log_do_not_run_online(room_log, theta):
     model = model_with(room_log, ("range-noise-changes-in-time",))
     values = theta_of(room_log, model, theta)

@@ -105,7 +105,7 @@ def checked_scans(seed, effect=None, sensor=None):
     return check_model(bound, np.array([log.true_theta[name] for name in bound.names]), seed)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_scans_of_a_right_model_are_seldom_objected_to():
     """Tempered or not: beams that are more independent than the exponent says are no fault."""
     found = [checked_scans(seed) for seed in range(8)] + [checked_scans(8, sensor=Lidar(exponent=1.0))]

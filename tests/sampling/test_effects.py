@@ -152,9 +152,13 @@ def _calibrated(log, *effects, **settings):
     return data, dict(zip(parameter_names(data), np.moveaxis(theta_draws(data), -1, 0), strict=True))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "given", [("beam-bias@2=0.12",), ("odometry-turn-scale=0.12",), ("sensor-yaw=0.1", "short-readings=0.1")]
+    "given",
+    [
+        pytest.param(("beam-bias@2=0.12",), marks=pytest.mark.slow),
+        pytest.param(("odometry-turn-scale=0.12",), marks=pytest.mark.long),
+        pytest.param(("sensor-yaw=0.1", "short-readings=0.1"), marks=pytest.mark.long),
+    ],
 )
 def test_effects_are_calibrated_jointly(given, tmp_path):
     """The posterior holds the truth; files bring model and posterior back."""
