@@ -107,9 +107,9 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         echo is the greatest range. Attributes name log, robot, source and seed, and the motion after which rows were
         chosen (``update_min_d``, ``update_min_a``, ``update_rule``).
     constant : xarray.Dataset
-        Everything given: odometry, map (a grid map in cells as coarse as figures need), beam poses, start belief, the
-        scalars ``true_<name>`` that the logs agree on, and the reference trajectory ``true_pose``, which serves scoring
-        and pictures only.
+        Everything given that pmcl knows: odometry, map (a grid map in cells as coarse as figures need), beam poses,
+        start belief, the scalars ``true_<name>`` that the logs agree on, and the reference trajectory ``true_pose``,
+        which serves scoring and pictures only.
     """
     observed: list[xr.Dataset] = []
     constant: list[xr.Dataset] = []
@@ -123,12 +123,19 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
             attrs[f"log{suffix}"] = name
         measured = [_measured(dataset[kind], suffix) for kind in kinds]
         observed.append(xr.Dataset({each.name: each for each in measured}, attrs=attrs))
-        given = dataset.drop_vars(kinds)
+        given = _given(dataset, kinds)
         if (grid := getattr(log, "grid_map", None)) is not None:
             given = given.assign(grid_map=_picture(grid))
         constant.append(_numbered(given, suffix))
     truth = {f"true_{name}": np.float64(value) for name, value in agreed_truth(logs).items()}
     return _merged(observed), _merged(constant).assign(truth)
+
+
+def _given(dataset: xr.Dataset, kinds: Sequence[str]) -> xr.Dataset:
+    """Return the variables of the format that are no readings; what else a log holds may clash with other groups."""
+    known = variables(dataset)
+    given = dataset[[name for name in dataset.data_vars if name in known and name not in kinds]]
+    return given.drop_vars([name for name in given.coords if name not in given.dims])
 
 
 def _measured(values: xr.DataArray, suffix: str) -> xr.DataArray:

@@ -56,6 +56,28 @@ def test_the_chains_are_left_as_they_were():
     np.testing.assert_array_equal(case.chains.trajectories[0], before)
 
 
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        {"extra": (("parameter",), np.arange(7.0))},
+        {"extra": (("prior_point",), np.arange(7.0))},
+        {"prior_grid": (("time",), None)},
+        {"prior_density": ((), 1.0)},
+        {"true_sigma_turn": (("elsewhere",), np.arange(7.0))},
+    ],
+    ids=lambda foreign: " ".join(str(part) for name, (dims, _) in foreign.items() for part in (name, *dims)),
+)
+def test_what_else_a_log_holds_clashes_with_nothing(foreign):
+    """After hours of sampling would be a bad time to find out."""
+    case = fake_case(n_draws=20)
+    plain = to_arviz(case.chains, case.parameters, case.logs)
+    (log,) = case.logs
+    times = np.zeros(log.dataset.sizes["time"])
+    held = {name: (dims, times if values is None else values) for name, (dims, values) in foreign.items()}
+    data = to_arviz(case.chains, case.parameters, [replace(log, dataset=log.dataset.assign(held))])
+    xr.testing.assert_identical(find_group(data, "constant_data"), find_group(plain, "constant_data"))
+
+
 def test_statistics_are_per_draw_or_per_parameter(case, data):
     statistics = find_group(data, "sample_stats")
     np.testing.assert_array_equal(statistics["lp"], case.chains.log_joint)
