@@ -20,7 +20,9 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import RobotModel
 
-__all__ = ["PRACTICAL", "Trial", "refitted", "scored_anew", "spare_effects", "trial_of_base", "try_effect"]
+__all__ = [
+    "PRACTICAL", "Trial", "occam_factor", "refitted", "scored_anew", "spare_effects", "trial_of_base", "try_effect",
+]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
