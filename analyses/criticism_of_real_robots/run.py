@@ -12,10 +12,12 @@ import csv
 import json
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from pmcl.criticism.findings.parts import Estimate
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import FilterError
 from pmcl.localization.many import localize_many
@@ -24,25 +26,43 @@ from pmcl.logs.barfoot import read_barfoot
 from pmcl.logs.mrclam import read_mrclam
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.occupancy_grid import OccupancyGrid
+from pmcl.models.robot_model import RobotModel
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("PMCL_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 REPETITIONS, PARTICLES = 20, 1000
+# The data's description says that the stamps of the reference system are so early [s]; it fits scans and poses to each
+# other with that. Errors are also computed with the stamps as recorded.
+REFERENCE_EARLY = 0.09
 # What is added to the recorded mount of Jarvis' lidar (x, y, yaw) [m, m, rad].
 WRONG_MOUNT = (0.0, 0.1, 0.05)
 # Jarvis' scans become rows after 0.1 m or 0.1 rad, so that a drive of 70 s has 154 of them.
 STEP = 0.1
 # The map lacks furniture, so that the critic may add more effects than usual; one chain gives their parameters.
-SETTINGS = {name: {"rounds": 8, "joint": False} for name in ("Jarvis", "Jarvis, wrong mount")}
+SETTINGS = {name: {"rounds": 6, "joint": False} for name in ("Jarvis", "Jarvis, wrong mount")}
+
+
+def read_jarvis(shift: float) -> RobotLog:
+    """Return the log of Jarvis, with the reference system's stamps moved by so many seconds."""
+    return read_bag(
+        DATA / "jarvis" / "jarvis_complex_path_fast.bag", scans=("/driver_laser_navigation/laser_scan",),
+        truth="/pose_ground_truth", truth_to_map=(14.617, 3.361, -0.033), truth_shift=shift, update_min_d=STEP,
+        update_min_a=STEP, grid_map=OccupancyGrid.read(DATA / "jarvis" / "i-108_10mm.yaml"),
+    )  # fmt: skip
+
+
+def with_recorded_stamps(log: RobotLog) -> RobotLog:
+    """Return a log of Jarvis with a reference trajectory by the stamps as recorded; nothing else changes."""
+    other, poses = read_jarvis(0.0).dataset, log.dataset["true_pose"].copy()
+    later = float(other.attrs["time_origin"] - log.dataset.attrs["time_origin"])
+    recorded = other["true_pose"].assign_coords(time=other["time"].values + later)
+    poses[:] = recorded.reindex(time=log.dataset["time"].values, method="nearest").values
+    return RobotLog.from_dataset(log.dataset.assign(true_pose=poses), log.where, log.grid_map)
 
 
 def recordings() -> dict[str, RobotLog]:
     """Return the logs."""
-    jarvis = read_bag(
-        DATA / "jarvis" / "jarvis_complex_path_fast.bag", scans=("/driver_laser_navigation/laser_scan",),
-        truth="/pose_ground_truth", truth_to_map=(14.617, 3.361, -0.033), truth_shift=0.09, update_min_d=STEP,
-        update_min_a=STEP, grid_map=OccupancyGrid.read(DATA / "jarvis" / "i-108_10mm.yaml"),
-    )  # fmt: skip
+    jarvis = read_jarvis(REFERENCE_EARLY)
     wrong = jarvis.dataset.copy()
     wrong["scan"] = wrong["scan"].assign_attrs(pose=np.add(wrong["scan"].attrs["pose"], WRONG_MOUNT))
     return {
@@ -75,6 +95,14 @@ def along_the_true_path(log: RobotLog) -> tuple[float, float]:
     return left[used].sum() / ahead[used].sum(), float(np.nanmedian(np.mod(error + np.pi, 2 * np.pi) - np.pi))
 
 
+def errors_of(log: RobotLog, model: RobotModel, estimates: Mapping[str, Estimate]) -> list[str]:
+    """Localize with the means of the parameters; return errors of position and heading, and the score of a reading."""
+    theta = {key: estimates[key].mean for key in model.bind(log).names}
+    runs = localize_many(log, model, theta=theta, repetitions=REPETITIONS, particles=PARTICLES)
+    values = runs.position_rmse, runs.heading_rmse, runs.log_evidence / log.n_readings
+    return [f"{np.nanmean(value):.4f}" for value in values]
+
+
 def main() -> None:
     """Criticise what has no result yet."""
     logs = recordings()
@@ -99,12 +127,13 @@ def main() -> None:
             print(f"{name}: {sentence}", flush=True)
             continue
         seconds = time.perf_counter() - begin
+        judged = {name: log}
+        if log.lidars:
+            judged[f"{name}, stamps as recorded"] = with_recorded_stamps(log)
         rows = []
-        for title, model, estimates in (("base", found.base, found.before), ("final", found.model, found.after)):
-            theta = {key: estimates[key].mean for key in model.bind(log).names}
-            runs = localize_many(log, model, theta=theta, repetitions=REPETITIONS, particles=PARTICLES)
-            rows.append([name, title, f"{seconds:.0f}", *(f"{np.nanmean(v):.4f}" for v in (
-                runs.position_rmse, runs.heading_rmse, runs.log_evidence / log.n_readings))])  # fmt: skip
+        for robot, reference in judged.items():
+            for title, model, estimates in (("base", found.base, found.before), ("final", found.model, found.after)):
+                rows.append([robot, title, f"{seconds:.0f}", *errors_of(reference, model, estimates)])
         with (HERE / "errors.csv").open("a", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             if file.tell() == 0:
