@@ -6,9 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
-from pmcl.criticism.fitting.trials import Trial, spare_effects, trial_of_base, try_effect
+from pmcl.criticism.fitting.trials import Trial, occam_factor, spare_effects, trial_of_base, try_effect
 from pmcl.criticism.naming import scan as scan_module
 from pmcl.criticism.naming.choice import (
     choose,
@@ -88,6 +89,35 @@ def test_what_is_named_with_the_winner():
     assert not named("odometry-turn-scale", 0.95)
     alike = made_trial("odometry-turn-scale", log, base + gain - 0.01 + 0.5 * rng.standard_normal(1000), base)
     assert choose([best, alike])[1] == [alike]
+
+
+def test_an_effect_that_held_out_rows_confirm_goes_before_one_that_the_fit_part_alone_shows():
+    log, rng = simulate_landmark_field(60, 1, bearings=True), np.random.default_rng(1)
+    base, noise = rng.normal(0.0, 1.0, 1000), 0.1 * rng.standard_normal(1000)
+    early = np.where(np.arange(1000) < 500, 0.5, 0.0) + noise
+
+    def chosen(held):
+        """Choose between an effect of the fit part and one that gains so much in each row of either part."""
+        gains = np.where(np.arange(1000) < 500, 0.2, held)
+        steady = made_trial("odometry-turn-scale", log, base + gains + noise, base)
+        return choose([made_trial("odometry-arc", log, base + early, base), steady])[0].effect.name
+
+    assert chosen(0.2) == "odometry-turn-scale"
+    assert chosen(-0.2) == "odometry-arc"
+
+
+def test_what_a_prior_loses_is_exact_for_a_gaussian(rng):
+    """The log of prior over posterior density at the posterior's mean."""
+    draws = np.column_stack([rng.standard_normal(400), 1.0 + 0.1 * rng.standard_normal(400)])
+    fit = SimpleNamespace(
+        bound=SimpleNamespace(parameters=(None, SimpleNamespace(prior=stats.norm(scale=2.0)))),
+        theta=draws.mean(axis=0), draws=draws,
+    )  # fmt: skip
+    mean, sd = draws[:, 1].mean(), draws[:, 1].std(ddof=1)
+    expected = stats.norm(mean, sd).logpdf(mean) - stats.norm(scale=2.0).logpdf(mean)
+    assert occam_factor(fit, 1) == pytest.approx(expected)
+    assert expected > 2.5
+    assert occam_factor(fit, 0) == 0.0
 
 
 def test_a_formula_replaces_a_name_that_it_clearly_beats_and_is_told_beside_one_that_it_does_not():

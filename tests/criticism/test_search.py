@@ -159,12 +159,38 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
     monkeypatch.setattr(one, "_formula_trials", lambda *_: FormulaTrials([formula], (), last.judgement, 3.0))
     monkeypatch.setattr(one.refits, "refit", lambda current, chosen, rivals: seen.append(rivals) or [])
     # Without a rival every effect gets a longer fit, and a glance is not enough to leave one out.
-    monkeypatch.setattr(one.refits, "refit_briefly", lambda current, trials, chosen: seen.append([]) or trials)
+    monkeypatch.setattr(one.refits, "refit_thoroughly", lambda current, trials, chosen: seen.append([]) or trials)
     monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
     outcome = one._search_further(last, formula, [])
     assert seen == [[formula] if confirmed else []]
     assert outcome.accepted is (formula if confirmed else None)
     assert outcome.trials == [formula]
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_an_effect_that_held_out_rows_confirm_is_not_hidden_by_an_accident_of_the_fit_part(monkeypatch, confirmed):
+    """The accident gains more on the fit part, and held-out rows deny it."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+
+    def trial(name, fit, heldout):
+        whole = Gain(fit.total + heldout.total, 5.0)
+        fitted = SimpleNamespace(bound=SimpleNamespace(lengths=(log.n_steps,)))
+        return Trial(effect_named(name, log), None, fitted, np.zeros(log.n_steps), 1.0, fit, heldout, whole)
+
+    accident = trial("odometry-arc", Gain(60.0, 5.0), Gain(-5.0, 5.0))
+    other = trial("odometry-turn-scale", Gain(8.0, 5.0), Gain(15.0 if confirmed else 4.0, 5.0))
+    lucky = trial("odometry-side-drift", Gain(0.5, 5.0), Gain(15.0, 5.0))
+    one, last = Search(log, (), SETTINGS), SimpleNamespace(judgement=SimpleNamespace(critical_z=3.0))
+    one.judged = SimpleNamespace(z=np.zeros(0))
+    monkeypatch.setattr(one, "_formula_trials", lambda *_: FormulaTrials([], (), last.judgement, 3.0))
+    monkeypatch.setattr(one.refits, "refit_thoroughly", lambda current, trials, chosen: trials)
+    monkeypatch.setattr(one.refits, "refit_leaders", lambda current, trials, rivals: trials)
+    monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
+    outcome = one._search_further(last, other, [accident, other, lucky])
+    assert outcome.accepted is (other if confirmed else None)
+    assert {found.effect.name for found in outcome.trials} == {
+        "odometry-arc", "odometry-turn-scale", "odometry-side-drift",
+    }  # fmt: skip
 
 
 def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):

@@ -20,7 +20,9 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import RobotModel
 
-__all__ = ["PRACTICAL", "Trial", "refitted", "scored_anew", "spare_effects", "trial_of_base", "try_effect"]
+__all__ = [
+    "PRACTICAL", "Trial", "occam_factor", "refitted", "scored_anew", "spare_effects", "trial_of_base", "try_effect",
+]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
@@ -57,6 +59,8 @@ class Trial:
         Particles of the filter that scored the rows.
     thorough : bool
         Whether the fit is a thorough one.
+    occam : float
+        What the prior of the effect's parameters loses, see :func:`occam_factor` [nat].
     """
 
     effect: Effect | None
@@ -69,6 +73,7 @@ class Trial:
     on_all: Gain
     particles: int = 0
     thorough: bool = False
+    occam: float = 0.0
 
     @property
     def p_value(self) -> float:
@@ -81,14 +86,15 @@ class Trial:
         return self.on_fit.total - (len(self.effect.parameters) if self.effect is not None else 0)
 
     @property
-    def certain_merit(self) -> float:
-        """Merit less two standard errors of the gain [nat].
+    def evidence(self) -> float:
+        """Gain in log evidence over the current model [nat], by Laplace's method on the fit part.
 
-        The gain of a model that explains a few rows depends on these rows, and its standard error is large. On a
-        recorded drive with a laser, an obstacle of 4 m radius gained 29 +- 15 nats on the fit part and 6 +- 6 on the
-        held-out part, and the latency of the laser, which is real, 15 +- 5 and 15 +- 5.
+        It is the gain on the whole log, less what the prior loses: the rows of the fit part are scored with parameters
+        that these rows have chosen. A parameter that they determine to a hundredth of its prior costs 4.6 nats, one
+        that they cannot tell costs nothing. Held-out rows count as far as the fit part's own gain: an effect that acts
+        later only was fitted to nothing.
         """
-        return self.merit - 2.0 * self.on_fit.se
+        return self.on_fit.total + min(self.on_heldout.total, self.on_fit.total) - self.occam
 
     @property
     def absorber(self) -> bool:
@@ -168,7 +174,36 @@ def try_effect(
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
-    return Trial(effect, model, fitted, scores, z, *_gains(scores, current.row_scores, split), particles)
+    gains = _gains(scores, current.row_scores, split)
+    occam = occam_factor(fitted, int(free.sum()))
+    return Trial(effect, model, fitted, scores, z, *gains, particles, effort == THOROUGH, occam)
+
+
+def occam_factor(fit: Fit, count: int) -> float:
+    """Return the log of the prior's density over its mean under a Gaussian posterior, for the last parameters of a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    count : int
+        Number of parameters, those of the newest effect.
+
+    Returns
+    -------
+    float
+        Zero for parameters of which the log tells nothing [nat]; see MacKay (2003), Information Theory, Inference, and
+        Learning Algorithms, chapter 28.
+    """
+    if not count:
+        return 0.0
+    prior = sum(
+        float(parameter.prior.logpdf(value))
+        for parameter, value in zip(fit.bound.parameters[-count:], fit.theta[-count:], strict=True)
+    )
+    covariance = np.atleast_2d(np.cov(fit.draws[:, -count:].T))
+    log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * (covariance + 1e-12 * np.eye(count)))[1]
+    return max(0.0, -prior - float(log_volume))
 
 
 def refitted(
@@ -196,7 +231,8 @@ def refitted(
         fitted = quick_fit(
             bound.restricted(split), seed, theta=before.theta, path=before.path, draws=before.draws, effort=effort
         )
-        longer = replace(trial, fit=fitted, thorough=effort == THOROUGH)
+        count = fitted.theta.size - current.fit.theta.size
+        longer = replace(trial, fit=fitted, thorough=effort == THOROUGH, occam=occam_factor(fitted, count))
         return scored_anew(longer, current, log, split, seed=seed, particles=particles)
     except PmclError as error:
         _logger.debug("a longer fit with %s fails: %s", trial.model.effects[-1].name, error)

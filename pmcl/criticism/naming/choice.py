@@ -111,9 +111,11 @@ def leaders(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
-    """Choose the trial that certainly explains most of the fit part, see :attr:`Trial.certain_merit`.
+    """Choose the trial with the greatest evidence, see :attr:`Trial.evidence`.
 
-    An absorber is chosen only if it beats the best structured candidate by more than two standard errors.
+    Where held-out rows do not confirm that one, the choice is among those that gain more there and are confirmed: an
+    obstacle may explain much of the places that the robot visits first. An absorber is chosen only if it beats the best
+    structured candidate by more than two standard errors.
 
     Parameters
     ----------
@@ -130,9 +132,17 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, list[Trial]]:
     if not trials:
         return None, []
     structured = [trial for trial in trials if trial.effect is not None and not trial.absorber]
-    best = max(trials, key=lambda trial: trial.certain_merit)
+    best = max(trials, key=lambda trial: trial.evidence)
+    if not best.on_heldout.significant:
+        least = max(PRACTICAL, best.on_heldout.total)
+        confirmed = [
+            trial
+            for trial in trials
+            if trial.merit > 0.0 and trial.on_heldout.significant and trial.on_heldout.total > least
+        ]
+        best = max(confirmed, key=lambda trial: trial.evidence, default=best)
     if structured and best.absorber:
-        rival = max(structured, key=lambda trial: trial.certain_merit)
+        rival = max(structured, key=lambda trial: trial.evidence)
         lead = paired_gain(best.row_scores, rival.row_scores, slice(0, best.fit.bound.lengths[0]))
         if not lead.significant and rival.on_fit.significant:
             best = rival
