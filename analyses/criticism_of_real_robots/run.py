@@ -13,11 +13,13 @@ import json
 import os
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pmcl.criticism.findings.parts import Estimate
+from pmcl.criticism.fitting.quick_fit import LONG, quick_fit
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import FilterError
 from pmcl.localization.many import localize_many
@@ -26,13 +28,14 @@ from pmcl.logs.barfoot import read_barfoot
 from pmcl.logs.mrclam import read_mrclam
 from pmcl.logs.robot_log import RobotLog
 from pmcl.maps.occupancy_grid import OccupancyGrid
-from pmcl.models.robot_model import RobotModel
+from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import RobotModel, default_model
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("PMCL_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 REPETITIONS, PARTICLES = 20, 1000
-# The data's description says that the stamps of the reference system are so early [s]; it fits scans and poses to each
-# other with that. Errors are also computed with the stamps as recorded.
+# Scans and reference fit each other when the stamps of the reference system are moved by so much [s]. Errors are also
+# computed with the stamps as recorded.
 REFERENCE_EARLY = 0.09
 # What is added to the recorded mount of Jarvis' lidar (x, y, yaw) [m, m, rad].
 WRONG_MOUNT = (0.0, 0.1, 0.05)
@@ -103,6 +106,16 @@ def errors_of(log: RobotLog, model: RobotModel, estimates: Mapping[str, Estimate
     return [f"{np.nanmean(value):.4f}" for value in values]
 
 
+def mount_of(log: RobotLog) -> list[str]:
+    """Return mean and standard deviation of angle and shift of the mount, fitted together with a latency."""
+    effects = tuple(effect_named(name).instances(log)[0] for name in ("sensor-yaw", "sensor-latency", "sensor-offset"))
+    model = default_model(log)
+    fit = quick_fit(replace(model, effects=effects).bind(log.without_truth()), seed=1, effort=LONG)
+    mean, sd = (dict(zip(fit.bound.names, values, strict=True)) for values in (fit.theta, fit.std))
+    names = ("sensor_yaw", "sensor_offset_x", "sensor_offset_y")
+    return [f"{values[name]:.4f}" for name in names for values in (mean, sd)]
+
+
 def main() -> None:
     """Criticise what has no result yet."""
     logs = recordings()
@@ -113,6 +126,10 @@ def main() -> None:
             [name, *(f"{value:.4f}" for value in along_the_true_path(log))]
             for name, log in logs.items() if log.landmarks is not None
         )  # fmt: skip
+    with (HERE / "mount.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["robot", *(f"{name}{end}" for name in ("yaw", "x", "y") for end in ("", "_sd"))])
+        writer.writerows([name, *mount_of(log)] for name, log in logs.items() if log.lidars)
     for name, log in logs.items():
         path = HERE / f"{name.replace(',', '').replace(' ', '_').lower()}.json"
         if path.exists():
