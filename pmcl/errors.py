@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 __all__ = [
     "CriticismError",
+    "DensityError",
     "FilterError",
     "LogError",
     "MapError",
@@ -88,8 +89,25 @@ class ModelError(PmclError):
     """A model, its parameters or a model file is not usable, or does not fit the log."""
 
 
+class DensityError(PmclError):
+    """A log density is not a number, which means a mistake in a model, an effect or a log, and never bad luck.
+
+    It is no :class:`FilterError`, because a search that tries something else after a lost filter must not go on after
+    this.
+
+    Attributes
+    ----------
+    row : int or None
+        The row at which it is not a number, where that is known.
+    """
+
+    def __init__(self, message: str = "", row: int | None = None) -> None:
+        super().__init__(message)
+        self.row = row
+
+
 class FilterError(PmclError):
-    """A particle filter met a density that is not a number, or lost every particle.
+    """A particle filter lost every particle, or cannot be run.
 
     Attributes
     ----------

@@ -35,11 +35,12 @@ from pmcl.criticism.settings import FINER, Settings
 from pmcl.errors import FilterError
 from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimates
-from pmcl.filtering.one_step_ahead import Predictions, predict_readings
+from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
+from pmcl.streams import stream, stream_seed
 
 __all__ = ["Loop"]
 
@@ -107,7 +108,7 @@ class Loop:
         self.settings.tell("fitting the base model")
         bound = self.base.bind(self.log)
         compile_for_criticism(bound.tables(bound.prior_mean())[0])
-        fit = quick_fit(bound, self.settings.seed)
+        fit = quick_fit(bound, stream_seed(self.settings.seed, "fit of the whole log", 0))
         recovery = self._recovery(fit)
         first = last = self.search.judge(fit)
         self._note_single_channel(last)
@@ -205,7 +206,7 @@ class Loop:
     def _follow(self, fit: Fit, patient: bool = False) -> None:
         """Use as many particles as follow the robot from now on; raise FilterError if none do."""
         particles, note = particles_that_follow(
-            fit.bound, fit.theta, self.settings.particles, self.settings.seed, patient=patient
+            fit.bound, fit.theta, self.settings.particles, stream_seed(self.settings.seed, "guard"), patient=patient
         )
         if note:
             self.notes.append(note)
@@ -236,7 +237,7 @@ class Loop:
 
     def _refit(self, last: JudgedFit, current: Trial, number: int) -> JudgedFit:
         """Fit the new model to the whole log, and judge it."""
-        seed = self.settings.seed + number + 1
+        seed = stream_seed(self.settings.seed, "fit of the whole log", number + 1)
         bound = current.model.bind(self.log)
         fit = current.fit
         return self.search.judge(quick_fit(bound, seed, theta=fit.theta, path=last.fit.path, draws=fit.draws))
@@ -278,12 +279,12 @@ class Loop:
             The trial that is added to the model.
         """
         bound = current.model.bind(self.log)
-        rng = make_rng(np.random.SeedSequence((self.settings.seed, 4)))
-        predictions = predict_readings(
+        rng = make_rng(stream(self.settings.seed, "predictions of a step"))
+        predictions = predict_by_passes(
             bound.tables(current.fit.theta)[0], self.log.n_steps, self.settings.comparing, rng
         )
         pit = predictions.pit(rng)
-        self.predictions.append((predictions.without_particles(), pit))
+        self.predictions.append((predictions, pit))
         gap = gap_of(predictions, pit, slice(self.search.split, None))
         names = tuple(effect.name for effect in bound.model.effects)
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
@@ -315,8 +316,8 @@ class Loop:
         elif self.found:
             after = estimates(
                 quick_fit(
-                    last.fit.bound, self.settings.seed + 200, theta=last.fit.theta, path=last.fit.path,
-                    draws=last.fit.draws, effort=LONG,
+                    last.fit.bound, stream_seed(self.settings.seed, "long fit"), theta=last.fit.theta,
+                    path=last.fit.path, draws=last.fit.draws, effort=LONG,
                 )
             )  # fmt: skip
         added = model.named_effects[len(self.base.effects) :]

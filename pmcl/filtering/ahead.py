@@ -78,6 +78,7 @@ def _filtering(tables: Tables) -> list[Call]:
     return [
         (smc.filter_pass, settings),
         (smc.predictive_pass, (*settings, False)),
+        (smc.conditional_pass, (tables, make_rng(0), np.empty((1, size)), 1)),
         (smc.sample_backward, (tables, make_rng(0), *history, 1)),
     ]
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError
+from pmcl.filtering.not_a_number import parameters_told
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import path_formulas
@@ -60,7 +61,8 @@ def plausible_theta(bound: BoundModel, rng: np.random.Generator) -> Float:
         scale = np.array([parameter.scales_noise for parameter in bound.parameters], dtype=bool)
         theta = np.where(scale, factor * theta, theta)
         try:
-            value = run_filter(bound.tables(theta)[0], bound.lengths[0], START_PARTICLES, rng).log_evidence
+            with parameters_told(bound, theta):
+                value = run_filter(bound.tables(theta)[0], bound.lengths[0], START_PARTICLES, rng).log_evidence
         except (FilterError, ModelError):
             continue
         if value > best:

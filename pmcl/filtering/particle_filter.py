@@ -9,13 +9,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.errors import FilterError
+from pmcl.errors import DensityError, FilterError
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.interrupts import check_interrupt
 from pmcl.models.tables import Tables
 
-__all__ = ["FilterPass", "PathUpdate", "draw_paths", "log_joint", "make_rng", "run_filter", "update_path"]
+__all__ = [
+    "FilterPass", "PathUpdate", "draw_paths", "draw_paths_beside", "log_joint", "make_rng", "run_filter", "update_path",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 Kernel = Literal["smoothing", "conditional"]
@@ -68,7 +70,7 @@ class FilterPass:
 
 
 def raise_outcome(status: int, t: int, what: str) -> None:
-    """Raise a FilterError when a compiled pass ended early.
+    """Raise an error when a compiled pass ended early.
 
     Parameters
     ----------
@@ -82,7 +84,9 @@ def raise_outcome(status: int, t: int, what: str) -> None:
     Raises
     ------
     FilterError
-        When every particle had weight zero, a density was not a number, or no particle could be an ancestor.
+        When every particle had weight zero, or no particle could be an ancestor.
+    DensityError
+        When a density was not a number.
     """
     if status == smc.ALL_ZERO:
         raise FilterError(
@@ -91,8 +95,9 @@ def raise_outcome(status: int, t: int, what: str) -> None:
             row=t,
         )
     if status == smc.NOT_A_NUMBER:
-        raise FilterError(
-            f"{what}: at row {t} a density is not a number; check the coefficient tables of the model at that row"
+        raise DensityError(
+            f"{what}: at row {t} a density is not a number; check the coefficient tables of the model at that row",
+            row=t,
         )
     if status == smc.NO_ANCESTOR:
         raise FilterError(
@@ -135,7 +140,9 @@ def run_filter(
     Raises
     ------
     FilterError
-        When every particle gets weight zero, a density is not a number, or n < 2.
+        When every particle gets weight zero, or n < 2.
+    DensityError
+        When a density is not a number.
     """
     check_interrupt()
     check_particles(n_particles)
@@ -183,6 +190,48 @@ def draw_paths(tables: Tables, filtered: FilterPass, n_paths: int, rng: np.rando
     status, t, paths = smc.sample_backward(
         tables, rng, filtered.particles, filtered.log_weights, filtered.ancestors, n_paths
     )
+    raise_outcome(status, t, "backward sampling")
+    return np.asarray(paths)
+
+
+def draw_paths_beside(
+    tables: Tables, path: Float, n_particles: int, n_paths: int, rng: np.random.Generator
+) -> Float:
+    """Draw trajectories from a filter in which one particle follows a given trajectory (conditional SMC).
+
+    If the given trajectory is a draw given all readings, each new one is such a draw, for any number of particles
+    (Andrieu, Doucet, Holenstein 2010; backward sampling: Whiteley 2010). Where all other particles miss what was read,
+    in a plain filter the least wrong of them would stand for the robot; here the given trajectory does.
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients of the model for this log.
+    path : ndarray, shape (T, D)
+        The given trajectory, headings not wrapped; it is not changed.
+    n_particles : int
+        Number of particles n, at least 2.
+    n_paths : int
+        Number of trajectories that are drawn.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray, shape (n_paths, T, D)
+
+    Raises
+    ------
+    FilterError
+        When every particle gets weight zero, or n < 2.
+    DensityError
+        When a density is not a number.
+    """
+    check_interrupt()
+    check_particles(n_particles)
+    status, t, _, particles, log_weights, _, ancestors = smc.conditional_pass(tables, rng, path, n_particles)
+    raise_outcome(status, t, "conditional filter")
+    status, t, paths = smc.sample_backward(tables, rng, particles, log_weights, ancestors, n_paths)
     raise_outcome(status, t, "backward sampling")
     return np.asarray(paths)
 
@@ -236,7 +285,9 @@ def update_path(
     Raises
     ------
     FilterError
-        When a density is not a number, or a transition has no density.
+        When a transition has no density.
+    DensityError
+        When a density is not a number.
     """
     status, t, log_evidence, effective, changed = smc.redraw_path(
         tables, rng, n_steps, n_particles, kernel == "conditional", path

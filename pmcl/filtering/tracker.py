@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine import contract
-from pmcl.errors import FilterError, ModelError
+from pmcl.errors import DensityError, FilterError, ModelError
 from pmcl.filtering.kernels.tracking import recovery, track
 from pmcl.filtering.kernels.tracking.state import Options, new_state
 from pmcl.filtering.kernels.weighing import ALL_ZERO, FINE, NOT_A_NUMBER
@@ -140,7 +140,9 @@ class Tracker:
         Raises
         ------
         FilterError
-            When every particle gets weight zero, or a density is not a number.
+            When every particle gets weight zero.
+        DensityError
+            When a density is not a number.
         """
         beliefs, lost_at = self.run_until_lost(begin, end, counts, rng, what)
         if lost_at >= 0:
@@ -170,7 +172,7 @@ class Tracker:
 
         Raises
         ------
-        FilterError
+        DensityError
             When a density is not a number.
         """
         n_rows = end - begin
@@ -195,8 +197,10 @@ class Tracker:
                     mean[i], covariance[i], summary[i],
                 )  # fmt: skip
         if status == NOT_A_NUMBER:
-            raise FilterError(
-                f"{what}: at row {row} a density is not a number; check the coefficient tables of the model at that row"
+            raise DensityError(
+                f"{what}: at row {row} a density is not a number; check the coefficient tables of the model at that "
+                "row",
+                row=row,
             )
         summary[row + 1 - (status == ALL_ZERO) - begin :] = np.nan
         return Beliefs(mean, covariance, summary[:, 0], summary[:, 1], summary[:, 2]), row if status == ALL_ZERO else -1

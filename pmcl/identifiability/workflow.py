@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmcl.checks import check_flag, check_seed, check_type
 from pmcl.criticism.fitting.quick_fit import LONG, quick_fit
-from pmcl.errors import FilterError, LogError, ModelError, PmclError
+from pmcl.errors import DensityError, FilterError, LogError, ModelError, PmclError
 from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta, with_estimated_path
 from pmcl.filtering.linearised_evidence import LinearisedEvidence, improved
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
@@ -24,6 +24,7 @@ from pmcl.posterior.compat import bulk_ess
 from pmcl.preflight.check import require_rows
 from pmcl.sampling.approximate import WeightedDraws, equal_draws, log_posterior, mode_of, weighted_draws
 from pmcl.sampling.transforms import Unconstrained
+from pmcl.streams import stream_seed
 
 __all__ = ["identify"]
 
@@ -158,12 +159,12 @@ def _most_probable(bound: BoundModel, transform: Unconstrained, seed: int) -> tu
 
 def _by_chain(bound: BoundModel, transform: Unconstrained, seed: int) -> tuple[WeightedDraws, Float, float]:
     """Return draws of a chain, their mean path, and how many independent draws the slowest parameter has."""
-    fit = quick_fit(bound, seed, effort=_EFFORT)
+    fit = quick_fit(bound, stream_seed(seed, "chain", 0), effort=_EFFORT)
     kept, effective = fit.draws, _effective_number(fit.draws)
     for number in range(_CONTINUED):
         if effective >= _ENOUGH_DRAWS:
             break
-        fit = quick_fit(bound, seed + number + 1, path=fit.path, draws=fit.draws, effort=_EFFORT)
+        fit = quick_fit(bound, stream_seed(seed, "chain", number + 1), path=fit.path, draws=fit.draws, effort=_EFFORT)
         kept = np.concatenate([kept, fit.draws])
         effective = _effective_number(kept)
     return equal_draws(kept, transform), fit.path, effective
@@ -230,6 +231,8 @@ def _information_of_drives(
     for drive in drives_for(log, path, sideways=_moves_sideways(log, model)):
         try:
             found[drive] = information_per_row(drive, log, path, model, theta, seed)
+        except DensityError:
+            raise
         except PmclError as error:
             problems.append(str(error))
     # A sensor that cannot be simulated, for example, lets no drive be tried.

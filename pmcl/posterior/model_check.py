@@ -113,7 +113,7 @@ def check_model(bound: BoundModel, theta: Float, seed: int = 0) -> ModelCheck:
 
     Raises
     ------
-    FilterError
+    DensityError
         When a density is not a number.
     """
     passes: list[ScoredPass] = []

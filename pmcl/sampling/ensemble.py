@@ -18,6 +18,7 @@ from emcee.state import State
 from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError, SamplingError
+from pmcl.filtering.not_a_number import check_density, parameters_told
 from pmcl.filtering.particle_filter import log_joint, make_rng, update_path
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.advance import StageRunner
@@ -81,7 +82,10 @@ class PseudoMarginalTarget:
         self.dtype = np.dtype([("path", np.float64, self.path_shape), *numbers])
 
     def __call__(self, theta: Float) -> tuple[Any, ...]:
-        """Return the log target and, one by one as emcee needs them, the fields of the blob."""
+        """Return the log target and, one by one as emcee needs them, the fields of the blob.
+
+        Raises DensityError when a density is not a number.
+        """
         bound = self.bound
         theta = np.ascontiguousarray(theta, dtype=float)
         path = np.zeros(self.path_shape)
@@ -94,10 +98,11 @@ class PseudoMarginalTarget:
                 bound.check(theta)
                 tables = bound.tables(theta)
                 paths = included(bound, path, max(bound.lengths))
-                updates = [
-                    update_path(table, log_path, len(log_path), self.particles, rng, "smoothing")
-                    for table, log_path in zip(tables, paths, strict=True)
-                ]
+                with parameters_told(bound, theta):
+                    updates = [
+                        update_path(table, log_path, len(log_path), self.particles, rng, "smoothing")
+                        for table, log_path in zip(tables, paths, strict=True)
+                    ]
             except (FilterError, ModelError):
                 updates = []
             if updates and all(update.succeeded for update in updates):
@@ -105,7 +110,8 @@ class PseudoMarginalTarget:
                     log_evidence=math.fsum(update.log_evidence for update in updates),
                     particle_ess=float(np.mean([update.effective_share for update in updates])),
                 )
-                joint = prior + math.fsum(log_joint(t, log_path) for t, log_path in zip(tables, paths, strict=True))
+                joint = math.fsum(log_joint(t, log_path) for t, log_path in zip(tables, paths, strict=True))
+                joint = prior + check_density(joint, bound, theta, paths)
         return prior + info.log_evidence, path, joint, *info
 
 

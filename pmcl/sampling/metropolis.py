@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.filtering.kernels.metropolis import metropolis_block
+from pmcl.filtering.not_a_number import check_density
 from pmcl.filtering.particle_filter import log_joint
 from pmcl.filtering.statistics import block_statistics
 from pmcl.models.parameters import prior_rows
@@ -60,6 +61,11 @@ def update_theta(
         New arrays. Cost: O(readings) once, then O(d) for each round where sums of squares suffice. Parameters without
         such statistics (those of effects, and noise that an effect reshapes) are updated after the others, with the
         joint density evaluated at every proposal.
+
+    Raises
+    ------
+    DensityError
+        When a density is not a number, with the parameters at which it is not.
     """
     theta, log_step, accepted = theta.copy(), log_step.copy(), np.zeros(theta.size)
     if n_sweeps == 0:
@@ -70,8 +76,12 @@ def update_theta(
         if covered.size:
             values, steps, shares = theta[covered], log_step[covered], accepted[covered]
             priors = bound.priors if covered.size == theta.size else prior_rows(bound.priors, covered)
-            metropolis_block(rng, values, steps, n_sweeps, gain, TARGET_ACCEPTANCE, priors, statistics, shares)
+            sound = metropolis_block(
+                rng, values, steps, n_sweeps, gain, TARGET_ACCEPTANCE, priors, statistics, shares
+            )
             theta[covered], log_step[covered], accepted[covered] = values, steps, shares
+            if not sound:
+                check_density(math.nan, bound, theta, paths)
     if covered.size == theta.size:
         return theta, log_step, accepted
     rest = np.setdiff1d(np.arange(theta.size), covered)
@@ -81,7 +91,7 @@ def update_theta(
         if prior == -math.inf:
             return prior
         parts = (log_joint(table, path) for table, path in zip(bound.tables(trial), paths, strict=True))
-        return prior + math.fsum(parts)
+        return prior + check_density(math.fsum(parts), bound, trial, paths)
 
     _random_walk(log_density, theta, log_step, rest, n_sweeps, gain, rng, accepted)
     return theta, log_step, accepted

@@ -53,7 +53,7 @@ def run_particle_gibbs(
 
     Raises
     ------
-    SamplingError, FilterError
+    SamplingError, DensityError
         When a chain cannot start, the filter meets a density that is not a number, or the checkpoint does not fit.
     """
     longest = max(bound.lengths)

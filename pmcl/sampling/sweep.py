@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pmcl.checks import check_choice, check_number, check_whole
 from pmcl.errors import FilterError, ModelError, SamplingError
+from pmcl.filtering.not_a_number import check_density, parameters_told, values_of
 from pmcl.filtering.particle_filter import Kernel, PathUpdate, log_joint, make_rng, update_path
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
@@ -134,6 +135,8 @@ def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts:
     ------
     SamplingError
         When no theta that the prior offers can explain the first rows.
+    DensityError
+        When a density is not a number.
     """
     rng = make_rng(np.random.SeedSequence(seed))
     rows = min(settings.data_rate or max(bound.lengths), max(bound.lengths))
@@ -146,10 +149,11 @@ def start_chain(bound: BoundModel, settings: SweepSettings, seed: int, attempts:
         try:
             bound.check(theta)
             tables = bound.tables(theta)
-            updates = [
-                update_path(table, log_path, len(log_path), settings.particles, rng, "smoothing")
-                for table, log_path in zip(tables, paths, strict=True)
-            ]
+            with parameters_told(bound, theta):
+                updates = [
+                    update_path(table, log_path, len(log_path), settings.particles, rng, "smoothing")
+                    for table, log_path in zip(tables, paths, strict=True)
+                ]
         except (FilterError, ModelError):
             continue
         value = _log_joint(bound, theta, tables, paths)
@@ -202,18 +206,18 @@ def step(
 
     Raises
     ------
-    FilterError
-        When a density is not a number, or a transition has no density; the message holds the parameter values.
+    FilterError, DensityError
+        When a transition has no density, or a density is not a number; the message holds the parameter values.
     """
     rng = make_rng(np.random.SeedSequence(seed))
     infos, before = [], state
     try:
-        for _ in range(settings.sweeps):
-            state, info = _sweep(bound, settings, transport, transform, state, rng)
-            infos.append(info)
+        with parameters_told(bound, before.theta, near=True):
+            for _ in range(settings.sweeps):
+                state, info = _sweep(bound, settings, transport, transform, state, rng)
+                infos.append(info)
     except FilterError as error:
-        values = ", ".join(f"{name}={value:.6g}" for name, value in zip(bound.names, before.theta, strict=True))
-        raise FilterError(f"{error} (parameters near {values})") from None
+        raise FilterError(f"{error} (parameters near {values_of(bound, before.theta)})") from None
     return state, mean_info(infos)
 
 
@@ -273,7 +277,8 @@ def _sweep(
 
 
 def _log_joint(bound: BoundModel, theta: Float, tables: Sequence[Tables], paths: Sequence[Float]) -> float:
-    return bound.log_prior(theta) + math.fsum(log_joint(table, path) for table, path in zip(tables, paths, strict=True))
+    value = math.fsum(log_joint(table, path) for table, path in zip(tables, paths, strict=True))
+    return bound.log_prior(theta) + check_density(value, bound, theta, paths)
 
 
 def _sweep_info(updates: Sequence[PathUpdate], acceptance_rate: Float) -> SweepInfo:

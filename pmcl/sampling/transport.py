@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from pmcl.filtering.kernels.linear import factorise, refresh_blocks, transport_trial
+from pmcl.filtering.not_a_number import check_density
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
@@ -310,7 +311,8 @@ def transport_moves(
                 strict=True,
             )
         ]
-        joint_new = prior + math.fsum(trial.log_joint for trial in trials)
+        joint_new = math.fsum(trial.log_joint for trial in trials)
+        joint_new = prior + check_density(joint_new, bound, theta_new, [trial.path for trial in trials])
         if not joint_new > -math.inf:  # impossible there, or the linearised path has no factorisation
             continue
         value = joint_new + log_jacobian - math.fsum(trial.factorisation.log_determinant for trial in trials)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism.judging import judged_log
+from pmcl.criticism.scoring.simulated_logs import Replica
 from pmcl.criticism.settings import Settings
 
 # mypy: disable-error-code="no-untyped-def"
@@ -29,15 +30,15 @@ def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, fi
         judgement = SimpleNamespace(p_value=p_value, raised=("alarm",) if p_value < 0.05 else ())
         return SimpleNamespace(judgement=judgement, scored=scored, simulated=simulated)
 
-    def score_log(bound, theta, directions, *, particles, paths, seed):
-        seeds.append(seed.entropy)
+    def score_log(bound, theta, directions, *, path, particles, paths, seed):
+        seeds.append((seed.entropy, seed.spawn_key))
         return "scored"
 
     monkeypatch.setattr(judged_log, "_judged", judged)
     monkeypatch.setattr(judged_log, "score_log", score_log)
-    monkeypatch.setattr(judged_log, "replicated_log", lambda log, tables, path, rng, by_turning: log)
+    monkeypatch.setattr(judged_log, "replicated_log", lambda log, tables, path, rng, by_turning: Replica(log, path))
     bound = SimpleNamespace(model=SimpleNamespace(bind=lambda log: bound, motion=None))
-    fit = SimpleNamespace(bound=bound, theta=np.zeros(4), tables=None, path=None)
+    fit = SimpleNamespace(bound=bound, theta=np.zeros(4), tables=None, path=None, drawn_path=None)
     last = judged_log.judge_log("log", fit, (), 10, SETTINGS)
     if judged_log.in_doubt(last.judgement):
         last = judged_log.with_more_simulations(last, "log", fit, (), 10, SETTINGS)

@@ -12,6 +12,7 @@ from oracles.random_walk_model import rail_log, rail_model
 from scipy import stats
 
 from pmcl.criticism.scoring.scores import directions_of, effect_scores, parameter_scores
+from pmcl.errors import DensityError
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.models.effects.effect import Effect
@@ -191,3 +192,22 @@ def test_small_parameters_of_wide_priors_have_scores():
     # Densities without meaning differ by the greatest change that counts, or are left out.
     assert np.abs(scores).max() < 5.0
     assert (np.abs(scores[:4]).sum(axis=1) > 0.0).all()
+
+
+def broken(tables, values, log, where):
+    """Edit the readings so that the density of row 7 is not a number."""
+    (sensor,) = tables.sensors
+    reading = sensor.reading.copy()
+    reading[7] = np.inf
+    return tables._replace(sensors=(sensor._replace(reading=reading, std=np.inf),))
+
+
+def test_a_density_that_is_no_number_is_no_zero_score():
+    log = rail_log(25, seed=3)
+    bound = rail_model().bind(log)
+    effect, columns = replace(NOISE, name="mine", change=broken), np.zeros((2, 1, 25))
+    with pytest.raises(DensityError, match=r"row 7.* a density is not a number where mine is scored") as caught:
+        effect_scores(bound.tables(THETA)[0], log, columns, directions_of([effect]))
+    assert "between noise=0 and noise=0.2" in str(caught.value)
+    with pytest.raises(DensityError, match=r"row 4.* where the model is scored between process_std=0.7"):
+        parameter_scores(bound, THETA, np.where(np.arange(25) == 4, np.nan, 0.0)[None, None])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmcl.criticism.fitting.quick_fit import GLANCE, quick_fit
-from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.trials import PRACTICAL, Trial
 from pmcl.criticism.judging import judged_log
 from pmcl.criticism.naming import lost_robot, refits, search
 from pmcl.criticism.naming.choice import worth_it
@@ -50,6 +50,9 @@ def without_candidates(log):
         (Gain(2.0, 0.5), Gain(40.0, 9.0), False),  # never worth a parameter
         (Gain(6.0, 7.0), Gain(60.0, 9.0), False),  # the held-out part says nothing
         (Gain(79.0, 55.0), Gain(157.0, 76.0), True),  # a few gross errors explained
+        (Gain(79.0, 55.0, 50.0), Gain(157.0, 76.0, 70.0), True),
+        (Gain(79.0, 35.0, 80.0), Gain(157.0, 66.0, 80.0), False),  # a single gross error explained
+        (Gain(10.0, 4.0, 3.0), Gain(42.0, 9.0, 40.0), False),
     ],
 )
 def test_what_confirms_an_effect_and_settles_an_alarm_in_doubt(heldout, whole, certain):
@@ -57,7 +60,8 @@ def test_what_confirms_an_effect_and_settles_an_alarm_in_doubt(heldout, whole, c
     assert Outcome(trial, None, [trial]).certain is certain
     assert worth_it(trial, 3.2) is certain
     # A remarkable score is a test by itself.
-    assert worth_it(replace(trial, z=4.0), 3.2) is (heldout.total > 0.0 and whole.total > whole.se)
+    several = heldout.largest < heldout.total and whole.largest < whole.total - PRACTICAL
+    assert worth_it(replace(trial, z=4.0), 3.2) is (heldout.total > 0.0 and whole.total > whole.se and several)
 
 
 def test_nothing_found_settles_nothing():
@@ -105,8 +109,9 @@ def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(mo
     best = replace(current, effect=effect_named("odometry-arc", log), on_fit=Gain(20.0, 5.0),
                    on_heldout=Gain(10.0, 4.0), on_all=Gain(30.0, 6.0))  # fmt: skip
     assert best.confirmed
-    monkeypatch.setattr(one.refits, "refit", lambda current, chosen, *_: [best] if chosen == "likeliest" else [])
-    monkeypatch.setattr(search, "shortlist", lambda *_, **__: "likeliest")
+    likeliest = [RankedEffect(best.effect, 0.0)]
+    monkeypatch.setattr(one.refits, "refit", lambda current, chosen, *_: [best] if chosen is likeliest else [])
+    monkeypatch.setattr(search, "shortlist", lambda *_, **__: likeliest)
     monkeypatch.setattr(one, "_formula_trials", lambda *_: None)
     monkeypatch.setattr(one, "_beside_formulas", lambda *_: "accepted")
     monkeypatch.setattr(one, "_search_further", lambda *_: "searched further")
@@ -160,7 +165,7 @@ def test_effects_of_the_whole_robot_compete_with_a_formula_that_is_confirmed(mon
     monkeypatch.setattr(one.refits, "refit", lambda current, chosen, rivals: seen.append(rivals) or [])
     # Without a rival every effect gets a longer fit, and a glance is not enough to leave one out.
     monkeypatch.setattr(one.refits, "refit_thoroughly", lambda current, trials, chosen: seen.append([]) or trials)
-    monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
+    monkeypatch.setattr(one, "_found", lambda best, *_: best)
     outcome = one._search_further(last, formula, [])
     assert seen == [[formula] if confirmed else []]
     assert outcome.accepted is (formula if confirmed else None)
@@ -208,3 +213,21 @@ def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch)
     with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
         judged_log.judge_log(log, fit, (), 36, SETTINGS)
     assert str(caught.value).startswith(log.where)
+
+
+def test_a_result_says_where_held_out_rows_helped_to_choose():
+    log = simulate_landmark_field(60, 1, bearings=True)
+    one, current = without_candidates(log)
+    judgement = SimpleNamespace(p_values=np.empty(0))
+    trial = replace(current, effect=effect_named("odometry-arc", log), z=4.0)
+
+    def told(least_z=0.0):
+        return one._found(trial, (), judgement, (), least_z).chosen_on_all_rows
+
+    assert not told()
+    assert told(4.5)
+    one._only_by_all_rows = [effect_named("odometry-arc", log)]
+    assert told()
+    one._only_by_all_rows = []
+    one.refits.split = int(search.LATE_FIT_SHARE * log.n_steps)
+    assert told()

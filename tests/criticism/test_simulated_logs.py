@@ -39,7 +39,7 @@ def test_same_drive_and_the_same_readings_missing(log):
     bound = default_model(log).bind(log)
     theta = np.array([log.true_theta[name] for name in bound.names])
     before = log.odometry.copy()
-    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))
+    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3)).log
     np.testing.assert_array_equal(log.odometry, before)
     for name in ("range", "landmark_range", "landmark_bearing"):
         if name in log.dataset:
@@ -62,7 +62,7 @@ def test_the_log_holds_the_commands_that_were_followed_and_what_was_read_on_the_
     monkeypatch.setattr(simulated_logs, "steered_path", steered)
     bound = default_model(log).bind(log)
     theta = np.array([log.true_theta[name] for name in bound.names])
-    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))
+    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3)).log
     ((path, correction),) = drives
     np.testing.assert_array_equal(made.odometry[1:], log.odometry[1:] + correction[1:])
     # The readings are those of the path that was driven: likely there, and not along the log's own.
@@ -76,7 +76,7 @@ def test_a_simulated_log_would_pass_the_checks_that_it_is_spared(log, noise):
     bound = default_model(log).bind(log)
     theta = np.array([log.true_theta[name] for name in bound.names])
     theta[3:] *= noise
-    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3))
+    made = replicated_log(log, bound.tables(theta)[0], _reference(log), make_rng(3)).log
     checked = RobotLog.from_dataset(made.dataset)
     assert checked.fingerprint() == made.fingerprint()
     assert list(checked.dataset.variables) == list(made.dataset.variables)
@@ -108,7 +108,7 @@ def test_a_robot_that_cannot_be_led_aside_is_led_back_by_turns():
     values = {"alpha1": 0.01, "alpha2": 0.001, "alpha3": 0.01, "alpha4": 0.001}
     theta = np.array([values.get(p.name, float(p.prior.mean())) for p in bound.parameters])
     tables, reference = bound.tables(theta)[0], _reference(log)
-    made = replicated_log(log, tables, reference, make_rng(3), by_turning=True)
+    made = replicated_log(log, tables, reference, make_rng(3), by_turning=True).log
     correction = made.odometry - log.odometry
     np.testing.assert_array_equal(correction[:, 1], 0.0)
     assert (correction[1:, [0, 2]] != 0.0).all()

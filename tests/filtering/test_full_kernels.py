@@ -13,6 +13,7 @@ from pmcl.engine import contract
 from pmcl.engine.compile import entry
 from pmcl.engine.tables import FieldView, with_extras, with_fields
 from pmcl.filtering.kernels import smc
+from pmcl.models.sensors.range_beams.kernels.components.noise import draw_echo, echo_below, echo_logpdf
 from pmcl.models.sensors.range_beams.table import ring_neighbours
 from pmcl.models.starts.table import WiderStart, wider_start
 from pmcl.models.tables import Tables
@@ -142,7 +143,33 @@ def test_readings_have_the_density_of_their_definition(name, rng):
     np.testing.assert_allclose(along(table, path), expected, rtol=1e-7, atol=1e-9)
 
 
-@BEAM_CASES
+def test_the_probabilities_of_everything_that_a_rounding_sensor_prints_add_up_to_one():
+    """Steps that divide the greatest range and others; an echo of 3.95 m is printed as 4.0 m from 3.875 m on."""
+    for step, longest in ((0.25, 4.0), (0.3, 4.0), (0.7, 4.0)):
+        table = with_extras(made_tables.range_beams(made_tables.poses_in_room(np.random.default_rng(1), 6),
+                                                    np.random.default_rng(1), outliers=False))  # fmt: skip
+        table = with_fields(table._replace(max_range=longest), {"step": step})
+        draws = draw_echo(table, np.full(40000, 3.95), np.full(40000, 0.15), np.random.default_rng(2))
+        printed, counts = np.unique(np.round(draws, 9), return_counts=True)
+        multiples = np.append(np.arange(0.0, longest - 1e-9, step), longest)
+        assert np.isin(printed, np.round(multiples, 9)).all()
+        for centre, std in ((3.95, 0.15), (0.1, 0.3), (2.0, 1.0)):
+            logs = np.array([echo_logpdf(table, z, centre, std) for z in multiples])
+            widths = [min(z + 0.5 * step, longest) - (z - 0.5 * step) for z in multiples]
+            widths[0] = widths[-1] = 1.0
+            assert np.sum(np.exp(logs) * widths) == pytest.approx(1.0, abs=1e-9)
+            low, high = np.array([echo_below(table, z, centre, std) for z in multiples]).T
+            np.testing.assert_allclose(high - low, np.exp(logs) * widths, atol=1e-9)
+            np.testing.assert_allclose(low[1:], high[:-1], atol=1e-12)
+        expected = np.exp(echo_logpdf(table, longest, 3.95, 0.15))
+        share = counts[-1] / counts.sum()
+        assert abs(share - expected) < 5.0 * np.sqrt(expected * (1.0 - expected) / counts.sum())
+        if step == 0.25:
+            assert expected == pytest.approx(stats.norm.sf(-0.5), abs=1e-9)
+
+
+# Off its steps a rounded reading counts as the one that it would be rounded to, which the ends hold as probabilities.
+@pytest.mark.parametrize("name", [name for name in (*ALONE, "everything") if not name.startswith("step")])
 def test_the_density_of_a_reading_integrates_to_one(name, rng):
     """Over all lengths, with the probabilities of the two clipped ones; each beam, at several poses."""
     n = 6001
@@ -220,7 +247,10 @@ def test_single_readings_add_up_and_know_their_distribution(name, rng):
             middle = np.arange(1, len(edges) - 1)
             step = table.extras.step
             centre = np.floor(edges[middle] / step + 0.5) * step
-            width = np.minimum(centre + 0.5 * step, longest) - np.maximum(centre - 0.5 * step, 0.0)
+            width = np.minimum(centre + 0.5 * step, longest) - (centre - 0.5 * step)
+            shortest, last = densities.rounding_ends(FieldView(table))
+            # Readings that are printed as 0 or as the greatest range have probabilities.
+            width = np.where((edges[middle] >= shortest) & (edges[middle] < last), width, 1.0)
             if name.startswith("step"):
                 plain = base.outlier_weight[beam] == 0.0
                 if plain:

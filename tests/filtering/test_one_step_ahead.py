@@ -13,8 +13,8 @@ from scipy import integrate, stats
 from pmcl.engine import contract
 from pmcl.engine.compile import entry
 from pmcl.filtering.kernels import smc
-from pmcl.filtering.one_step_ahead import predict_readings
-from pmcl.filtering.particle_filter import log_joint, make_rng, run_filter
+from pmcl.filtering.one_step_ahead import pooled_increments, predict_by_passes, predict_readings
+from pmcl.filtering.particle_filter import draw_paths, draw_paths_beside, log_joint, make_rng, run_filter
 from pmcl.models.robot_model import default_model
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
@@ -222,3 +222,67 @@ def test_readings_alone_are_foreseen_from_the_rows_before():
     first = np.unique(found.time, return_index=True)[1]
     np.testing.assert_allclose(found.log_score[first], in_turn.log_score[first], rtol=1e-9)
     assert np.abs(found.log_score - in_turn.log_score).max() > 0.1
+
+
+def test_a_pass_that_misses_one_row_does_not_decide_the_mixture():
+    good = np.full(60, -2.0)
+    bad = np.where(np.arange(60) == 30, -160.0, -2.0)
+    found = pooled_increments([good, bad])
+    np.testing.assert_allclose(np.delete(found, 30), -2.0, atol=1e-9)
+    assert found[30] == pytest.approx(-2.0 - np.log(2.0), abs=1e-9)
+    # Lost for good, it counts no more: all rows but the first are those of the other pass.
+    lost = np.where(np.arange(60) >= 30, -50.0, -2.0)
+    found = pooled_increments([good, lost])
+    assert found.sum() == pytest.approx(good.sum() - np.log(2.0), abs=1e-6)
+    np.testing.assert_allclose(pooled_increments([good]), good)
+
+
+def test_mixed_predictions_add_up_row_by_row_and_are_mixtures():
+    log = simulate_amigobot(30.0, 2)
+    tables = default_model(log).bind(log).tables(np.array([0.05, 0.03, 0.05, 0.05]))[0]
+    rng, again = make_rng(5), make_rng(5)
+    mixed = predict_by_passes(tables, log.n_steps, 60, rng)
+    single = [predict_readings(tables, log.n_steps, 60, again) for _ in range(2)]
+    rows = np.bincount(mixed.time, mixed.log_score, log.n_steps)
+    np.testing.assert_allclose(rows, mixed.filtered.log_increments, atol=1e-9)
+    for name in ("log_score", "low", "high"):
+        both = np.sort([getattr(one, name) for one in single], axis=0)
+        value = getattr(mixed, name)
+        assert ((value >= both[0] - 1e-12) & (value <= both[1] + 1e-12)).all()
+    first = mixed.time == mixed.time[0]
+    np.testing.assert_allclose(mixed.low[first][0], np.mean([one.low[0] for one in single]), atol=1e-12)
+
+
+def test_paths_drawn_beside_a_given_one_have_the_smoothers_law_with_few_particles():
+    """Five particles, each draw beside the one before: the means and variances of the exact smoother."""
+    n_steps, q, r = 12, 0.6, 0.5
+    tables = rail_model().bind(rail_log(n_steps, seed=4)).tables(np.array([q, r]))[0]
+    mean, variance = kalman.smoother(kalman.linear_model(tables), q, r)
+    rng, path, drawn = make_rng(3), np.zeros((n_steps, 1)), []
+    for _ in range(6000):
+        path = draw_paths_beside(tables, path, 5, 1, rng)[0]
+        drawn.append(path[:, 0])
+    drawn = np.array(drawn[100:])
+    assert (np.abs(drawn.mean(axis=0) - mean) < 0.12 * np.sqrt(variance)).all()
+    assert (np.abs(drawn.var(axis=0) / variance - 1.0) < 0.15).all()
+    # Negative control: a filter of five particles alone draws other paths.
+    alone = [draw_paths(tables, run_filter(tables, n_steps, 5, rng), 1, rng)[0, :, 0] for _ in range(2000)]
+    assert np.abs((np.mean(alone, axis=0) - mean) / np.sqrt(variance)).max() > 0.12
+
+
+def test_a_row_that_all_particles_miss_is_scored_along_the_given_path():
+    """A jump of ten standard deviations that the readings show: the least wrong particle stood for the robot."""
+    n_steps, q, r, jump = 20, 0.1, 0.02, 10
+    tables = rail_model().bind(rail_log(n_steps, seed=4)).tables(np.array([q, r]))[0]
+    path = np.full((n_steps, 1), float(tables.start.mean[0]))
+    for t in range(1, n_steps):
+        path[t] = tables.motion.coefficient * path[t - 1] + tables.motion.control[t] + 10.0 * q * (t == jump)
+    (sensor,) = tables.sensors
+    tables = tables._replace(sensors=(sensor._replace(reading=path[:, 0].copy()),))
+    rng = make_rng(1)
+    alone = draw_paths(tables, run_filter(tables, n_steps, 200, rng), 5, rng)
+    beside = draw_paths_beside(tables, path, 200, 5, rng)
+    columns = [np.ascontiguousarray(paths.transpose(0, 2, 1)) for paths in (alone, beside)]
+    densities = [smc.sensor_terms(tables.sensors[0], one)[:, jump].mean() for one in columns]
+    assert densities[0] < -100.0
+    assert densities[1] > 0.0

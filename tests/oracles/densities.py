@@ -153,15 +153,24 @@ def _std(view, t, b, length):
 
 def _echo_density(view, z, centre, std):
     noise = stats.norm(centre, std) if view.tail == 0.0 else stats.t(1.0 / view.tail, centre, std)
-    if z <= 0.0:
-        return noise.cdf(0.0)
-    if z >= view.max_range:
-        return noise.sf(view.max_range)
+    shortest, longest = rounding_ends(view)
+    if z <= 0.0 or z < shortest:
+        return noise.cdf(shortest)
+    if z >= longest:
+        return noise.sf(longest)
     if view.step == 0.0:
         return noise.pdf(z)
-    cell = round(z / view.step) * view.step + 0.5 * view.step * np.array([-1.0, 1.0])
-    low, high = np.clip(cell, 0.0, view.max_range)
+    low, high = round(z / view.step) * view.step + 0.5 * view.step * np.array([-1.0, 1.0])
+    high = min(high, view.max_range)
     return (noise.cdf(high) - noise.cdf(low)) / (high - low)
+
+
+def rounding_ends(view):
+    """Where echoes begin to be printed as something else than 0, and where as the greatest range."""
+    if view.step == 0.0:
+        return 0.0, view.max_range
+    nearest = round(view.max_range / view.step) * view.step
+    return 0.5 * view.step, nearest - 0.5 * view.step if nearest > view.max_range - 1e-9 else view.max_range
 
 
 def _disc_distance(origin, x, y, radius):

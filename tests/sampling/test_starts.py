@@ -10,8 +10,12 @@ import pytest
 from oracles.random_walk_model import BoundRailSensor, RailMotion, RailSensor, RailStart, rail_log, rail_model
 
 from pmcl.calibration import ParticleGibbs
-from pmcl.errors import FilterError, SamplingError
+from pmcl.errors import DensityError, SamplingError
+from pmcl.filtering.linearised_evidence import LinearisedEvidence
+from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.robot_model import RobotModel
+from pmcl.sampling.ensemble import PseudoMarginalTarget
+from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.options import RunOptions
 from pmcl.sampling.state import from_blob, into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain, step
@@ -79,10 +83,57 @@ def test_a_density_that_is_no_number_names_row_and_parameters():
     bound = _bound(StrangeSensor(nan_above=0.9))
     state = start_chain(bound, SweepSettings("smoothing", 30), 1).state
     bad = state._replace(theta=np.array([0.5, 1.25]))
-    with pytest.raises(FilterError, match="at row 0 a density is not a number") as caught:
+    with pytest.raises(DensityError, match="at row 0 a density is not a number") as caught:
         step(bound, SweepSettings("conditional", 10), None, Unconstrained(bound.parameters), bad, 1)
     assert "process_std=0.5, reading_std=1.25" in str(caught.value)
+    assert "t=0 s" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def _starts(bound):
+    start_chain(bound, SweepSettings("smoothing", 30), 1)
+
+
+def _estimates_the_evidence(bound):
+    PseudoMarginalTarget(bound, 20, 1)(np.array([0.5, 1.25]))
+
+
+def _evaluates_the_linearised_evidence(bound):
+    evidence = LinearisedEvidence(bound, np.array([0.5, 0.5]), [np.zeros((T, 1))])
+    assert np.isfinite(evidence(np.array([0.5, 0.5])))
+    evidence(np.array([0.5, 1.25]))
+
+
+@pytest.mark.parametrize("fails", [_starts, _estimates_the_evidence, _evaluates_the_linearised_evidence])
+def test_a_density_that_is_no_number_is_an_error_and_not_an_impossible_theta(fails):
+    bound = _bound(StrangeSensor(nan_above=0.0 if fails is _starts else 0.9))
+    with pytest.raises(DensityError, match=r"row 0.* a density is not a number|at row 0 a density") as caught:
+        fails(bound)
+    message = str(caught.value)
+    assert "t=0 s" in message
+    assert "reading_std=" in message
+    assert "\n" not in message
+
+
+def test_a_random_walk_that_meets_a_density_that_is_no_number_tells_where():
+    """Such a proposal was refused like an unlikely one, so that the chain stayed below 0.9 without a word."""
+    bound = _bound(StrangeSensor(nan_above=0.9))
+    object.__setattr__(bound, "priors", None)
+    state = start_chain(_bound(RailSensor()), SweepSettings("smoothing", 30), 1).state
+    theta, path = np.array([0.5, 0.8]), [state.path]
+    message = r"at t=0 s \(row 0\) a density is not a number with process_std="
+    with pytest.raises(DensityError, match=message) as caught:
+        update_theta(bound, theta, bound.tables(theta), path, np.log([0.1, 0.5]), 100, 0.0, make_rng(1))
+    assert float(str(caught.value).partition("reading_std=")[2].partition(";")[0]) > 0.9
+
+
+def test_a_random_walk_on_statistics_that_are_no_numbers_tells_where():
+    bound = _bound(RailSensor())
+    path = start_chain(bound, SweepSettings("smoothing", 30), 1).state.path.copy()
+    path[3] = np.nan
+    theta = np.array([0.5, 0.8])
+    with pytest.raises(DensityError, match=r"\(row 3\) a density is not a number with process_std=0.5, reading_std="):
+        update_theta(bound, theta, bound.tables(theta), [path], np.log([0.1, 0.5]), 5, 0.0, make_rng(1))
 
 
 def test_a_sweep_in_which_every_particle_dies_keeps_the_path():

@@ -89,7 +89,8 @@ def found_effect(
     ]
     advice = [effect.near_twins.get(other.name) or other.near_twins.get(effect.name, "") for other in others]
     return FoundEffect(
-        effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value), *accepted.on_heldout,
+        effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value),
+        *accepted.on_heldout[:2],
         tuple(with_place(other) for other in others), tuple(dict.fromkeys(text for text in advice if text)),
         effect.finding,
     )  # fmt: skip
@@ -163,7 +164,7 @@ def candidates_of(
         refitted.append(
             Candidate(
                 *(trial.effect.name, trial.effect.where, score.z, score.p_value),
-                *(*trial.on_fit, *trial.on_heldout),
+                *(*trial.on_fit[:2], *trial.on_heldout[:2]),
                 values=values,
                 accepted=trial is accepted,
             )

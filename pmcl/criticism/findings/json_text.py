@@ -42,6 +42,7 @@ def effect_entry(effect: FoundEffect) -> dict[str, Any]:
         "not_distinguishable_from": list(effect.not_distinguishable_from),
         "summary": effect.summary,
         "advice": list(effect.advice),
+        "chosen_on_all_rows": effect.chosen_on_all_rows,
     }
 
 

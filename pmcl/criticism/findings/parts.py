@@ -67,6 +67,9 @@ class FoundEffect:
         Motions that would distinguish them.
     finding : str
         The sentence about a log that has it, see :class:`~pmcl.models.effects.effect.Effect`; empty for a formula.
+    chosen_on_all_rows : bool
+        Whether it was tried for its score on all rows, when that on the fit part alone was not remarkable. Its gain on
+        held-out data is then that of rows which helped to choose it, and too large on average.
     """
 
     name: str
@@ -79,6 +82,7 @@ class FoundEffect:
     not_distinguishable_from: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     finding: str = ""
+    chosen_on_all_rows: bool = False
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.one_step_ahead import Predictions
+from pmcl.filtering.not_a_number import parameters_told
+from pmcl.filtering.one_step_ahead import Predictions, pooled_increments
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.models.robot_model import BoundModel
 
@@ -35,11 +36,12 @@ class Gap(NamedTuple):
 
 
 def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> Float:
-    """Return the log predictive density of the readings of each row, mean over independent filter passes.
+    """Return the log predictive density of the readings of each row, mixed from independent filter passes.
 
     The filter runs over the whole log and predicts each row from all rows before it. The caller decides which rows are
     summed as held-out. The log of an estimate lies below the log of the density by half of its variance, on average:
-    use some thousand particles.
+    use some thousand particles. Densities are averaged, not their logs: one pass that misses what is read at some row
+    would otherwise take more from a model than all other rows give.
 
     Parameters
     ----------
@@ -63,13 +65,16 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
     ------
     FilterError
         When the filter loses the robot entirely.
+    DensityError
+        When a density is not a number.
     """
     tables, n_steps = bound.tables(theta)[0], bound.lengths[0]
-    increments = [
-        run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
-        for k in range(passes)
-    ]
-    return np.asarray(np.mean(increments, axis=0))
+    with parameters_told(bound, theta):
+        increments = [
+            run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
+            for k in range(passes)
+        ]
+    return pooled_increments(increments)
 
 
 def gap_of(predictions: Predictions, pit: Float, rows: slice) -> Gap:

@@ -89,6 +89,8 @@ class Fit:
         Posterior mean path, headings not wrapped [m, m, rad].
     path_std : ndarray, shape (T, D)
         Its posterior standard deviation.
+    drawn_path : ndarray, shape (T, D)
+        The last trajectory of the chain: a draw given all readings, where `path` is the mean of many.
     """
 
     bound: BoundModel
@@ -97,6 +99,7 @@ class Fit:
     draws: Float
     path: Float
     path_std: Float
+    drawn_path: Float
 
     @property
     def tables(self) -> Tables:
@@ -190,7 +193,7 @@ def quick_fit(
             state, _ = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
             kept.append(state)
     thetas, paths = np.array([state.theta for state in kept]), np.array([state.path for state in kept])
-    return Fit(bound, thetas.mean(axis=0), thetas.std(axis=0), thetas, paths.mean(axis=0), paths.std(axis=0))
+    return Fit(bound, thetas.mean(axis=0), thetas.std(axis=0), thetas, paths.mean(axis=0), paths.std(axis=0), paths[-1])
 
 
 def _drifts(kept: list[ChainState]) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,16 +14,13 @@ from pmcl.criticism.scoring.features import FAMILIES, Feature
 from pmcl.criticism.scoring.scored_log import ScoredLog
 from pmcl.criticism.scoring.scores import Direction
 from pmcl.errors import CriticismError
+from pmcl.filtering.paired_scores import block_sums
 
-__all__ = ["Alarm", "Judgement", "judge"]
+__all__ = ["Alarm", "BlockSums", "Judgement", "deviations", "family_critical_z", "judge", "sums_of_rows"]
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-# When the sum of squares of a score of one place exceeds the median of the simulated logs by this factor, the robot was
-# at a place where it hardly ever is in these, and their spread does not apply to the log. Chosen by hand, after a robot
-# in a corner that simulated robots never reached had raised an alarm.
-_UNVISITED_FACTOR = 1000.0
 # Share of logs without a missing effect in which the greatest score exceeds the critical value.
 _CRITICAL_LEVEL = 0.05
 
@@ -149,28 +146,44 @@ def judge(
     greatest deviation of a family is treated as that of K' independent ones, where K' is fitted to the greatest
     deviations of the simulated logs. The size of a family and the tail of its distribution need not be known.
 
-    A score is a martingale when the model is right, so the sum of its squared rows estimates its variance in this very
-    log. When this sum is far larger than in the median simulated log, as for a patch of floor that the robot hardly
-    ever visits in these, the spread of the simulated logs does not apply, and the variance is at least this sum.
+    Two further rules let no few rows decide. They hold for the log and for the simulated logs alike, and never make a
+    deviation larger. First, a number counts without its largest block of fifteen rows. Fluctuations are no sums, but
+    relative to the root of their sum of squares, which bounds what a single row can do. Second, a score is divided by
+    the spread of the simulated logs or by that of its own rows, whichever is larger. A score is a martingale when the
+    model is right, and some tens of simulated logs say nothing of rare rows: with an ideal filter, the spread of other
+    logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the sum of
+    the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the steps, M
+    exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance used here
+    is at least V.
+
+    References
+    ----------
+    Delyon, Exponential inequalities for sums of weakly dependent variables, Electronic J. Probability 14, 2009.
     """
     logs = (scored, *simulated)
-    score = np.array([log.scores[:, :rows].sum(axis=1) for log in logs])
-    numbers = np.array([log.feature_values for log in logs])
-    parameters = np.array([log.parameter_scores[:, :rows].sum(axis=1) for log in logs])
-    parameters_all_rows = np.array([log.parameter_scores.sum(axis=1) for log in logs])
-    if not all(np.isfinite(values).all() for values in (score, numbers, parameters, parameters_all_rows)):
-        raise CriticismError("a score or residual is not a number; check the model's tables and its effects")
-    local = np.array(
-        [bool(direction.effect.where) and "beams" not in direction.effect.where for direction in directions],
-        dtype=bool,
-    )
-    squares = np.array([(log.scores[:, :rows] ** 2).sum(axis=1) for log in logs]) * local
     one_sided = np.array([direction.one_sided for direction in directions], dtype=bool)
     # Scores of the fitted parameters vanish in the log but for Monte Carlo error; those of the simulated logs do not.
-    score_z = _studentised(score, parameters, one_sided, squares)
+    score_z = deviations(
+        [sums_of_rows(log.scores[:, :rows], log.parameter_scores[:, :rows]) for log in logs], one_sided
+    )
     features = scored.features
-    number_z = _studentised(
-        numbers, parameters_all_rows, np.array([feature.one_sided for feature in features], dtype=bool)
+    feature_sides = np.array([feature.one_sided for feature in features], dtype=bool)
+    n_residuals = scored.residual_blocks.shape[0]
+    parameters = [block_sums(log.parameter_scores) for log in logs]
+    number_z = np.hstack(
+        [
+            deviations(
+                [BlockSums(log.residual_blocks, own) for log, own in zip(logs, parameters, strict=True)],
+                feature_sides[:n_residuals],
+            ),
+            deviations(
+                [
+                    BlockSums(log.fluctuations[:, None], own.sum(axis=1, keepdims=True))
+                    for log, own in zip(logs, parameters, strict=True)
+                ],
+                feature_sides[n_residuals:],
+            ),
+        ]
     )
     tests: list[tuple[str, _FamilyTest, Feature, float]] = []
     critical = np.inf
@@ -179,15 +192,15 @@ def judge(
         members = list(range(len(directions))) if family == "score" else members
         if not members:
             continue
-        deviations = score_z if family == "score" else number_z[:, members]
-        test = _test_family(deviations)
+        of_family = score_z if family == "score" else number_z[:, members]
+        test = _test_family(of_family)
         if family == "score":
             direction = directions[test.worst]
             feature = Feature("score", direction.effect.name, one_sided=direction.one_sided)
-            critical = float(-special.ndtri(0.5 * -np.expm1(np.log1p(-_CRITICAL_LEVEL) / test.size)))
+            critical = _critical_z(test.size)
         else:
             feature = features[members[test.worst]]
-        tests.append((family, test, feature, float(deviations[0, test.worst])))
+        tests.append((family, test, feature, float(of_family[0, test.worst])))
     raised = _holm([test.p_value for _, test, _, _ in tests], level)
     alarms = tuple(
         Alarm(family, test.p_value, bool(is_raised), feature, z)
@@ -196,47 +209,111 @@ def judge(
     return Judgement(alarms, score_z[0], _p_values(score_z[0], one_sided), critical, features, number_z[0])
 
 
-def _studentised(values: Float, parameters: Float, one_sided: Bool, own_variance: Float | None = None) -> Float:
+class BlockSums(NamedTuple):
+    """Numbers of one log as sums over blocks of rows.
+
+    Attributes
+    ----------
+    blocks : ndarray, shape (F, B)
+        The numbers; a single block says that they are no sums.
+    parameters : ndarray, shape (d, B)
+        Scores of the model's own parameters.
+    squares : callable, optional
+        ``squares(slope) -> (F,)``: sums of the squared rows of the numbers less ``slope.T @ parameter scores``, for a
+        slope of shape (d, F). Without it the rows say nothing of the spread.
+    """
+
+    blocks: Float
+    parameters: Float
+    squares: Callable[[Float], Float] | None = None
+
+
+def sums_of_rows(numbers: Float, parameters: Float) -> BlockSums:
+    """Return the block sums of numbers (F, T) and of the parameters' scores (d, T) of one log, with their squares."""
+
+    def squares(slope: Float) -> Float:
+        return np.asarray(((numbers - slope.T @ parameters) ** 2).sum(axis=1))
+
+    return BlockSums(block_sums(numbers), block_sums(parameters), squares)
+
+
+def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
     """Return deviations as standard normals: of the log first, then of each simulated log.
 
     Parameters
     ----------
-    values : ndarray, shape (1 + N, F)
-        Numbers of the log and of the N simulated logs.
-    parameters : ndarray, shape (1 + N, d)
-        Scores of the model's own parameters, which are projected out.
+    logs : sequence of BlockSums
+        The log, then the N simulated logs, each with F numbers.
     one_sided : ndarray of bool, shape (F,)
         Whether only large values are unusual.
-    own_variance : ndarray, shape (1 + N, F), optional
-        Variances estimated from each log alone; they count where the spread of the simulated logs does not apply.
 
     Returns
     -------
     ndarray, shape (1 + N, F)
+        See the notes of :func:`judge`.
+
+    Raises
+    ------
+    CriticismError
+        When a number is not finite.
     """
+    values = np.array([log.blocks.sum(axis=1) for log in logs])
+    parameters = np.array([log.parameters.sum(axis=1) for log in logs])
+    if not (np.isfinite(values).all() and np.isfinite(parameters).all()):
+        raise CriticismError("a score or residual is not a number; check the model's tables and its effects")
     n, d = values.shape[0] - 1, parameters.shape[1]
     scale = parameters[1:].std(axis=0) + 1e-300
     design = np.column_stack([np.ones(n + 1), (parameters - parameters[1:].mean(axis=0)) / scale])
     inverse = np.linalg.pinv(design[1:].T @ design[1:])
-    slope = inverse @ design[1:].T @ values[1:]
-    residual = values - design @ slope
+    coefficients = inverse @ design[1:].T @ values[1:]
+    slope = coefficients[1:] / scale[:, None]
+    residual = values - design @ coefficients
     leverage = np.einsum("ij,jk,ik->i", design, inverse, design)
     squares = (residual[1:] ** 2).sum(axis=0)
     freedom = n - d - 1
-    floor = 1e-12 * (np.abs(values[1:]).max(axis=0) ** 2 + 1e-300)
-    t = np.empty_like(values)
-    t[0] = residual[0] / np.sqrt((squares / freedom + floor) * (1.0 + leverage[0]))
+    floor = 1e-12 * np.abs(values).max(axis=0, initial=0.0) ** 2 + 1e-300
     left = np.maximum(1.0 - leverage[1:, None], 1e-6)
-    others = np.maximum(squares - residual[1:] ** 2 / left, 0.0) / (freedom - 1) + floor
-    t[1:] = residual[1:] / np.sqrt(others * left)
-    if own_variance is not None:
-        unvisited = own_variance > _UNVISITED_FACTOR * np.median(own_variance[1:], axis=0)
-        bounded = np.abs(residual) / np.sqrt(own_variance + floor)
-        t = np.where(unvisited, np.sign(t) * np.minimum(np.abs(t), bounded), t)
-    z = np.empty_like(t)
-    z[0], z[1:] = _as_normal(t[0], freedom), _as_normal(t[1:], freedom - 1)
+    others = np.maximum(squares - residual[1:] ** 2 / left, 0.0) / (freedom - 1)
+    variance = np.concatenate([(squares / freedom * (1.0 + leverage[0]))[None], others * left]) + floor
+    if all(log.squares is not None for log in logs):
+        own = np.array([log.squares(slope) for log in logs if log.squares is not None])
+        expected = np.concatenate([own[1:].mean(axis=0)[None], (own[1:].sum(axis=0) - own[1:]) / (n - 1)])
+        variance *= np.maximum(1.0, (own + floor) / (expected + floor))
+    if logs[0].blocks.shape[1] > 1:
+        constant = values - residual - parameters @ slope
+        residual = np.array(
+            [
+                _without_largest_block(log.blocks - slope.T @ log.parameters - share[:, None] / log.blocks.shape[1])
+                for log, share in zip(logs, constant, strict=True)
+            ]
+        )
+    t = residual / np.sqrt(variance)
+    z = np.concatenate([_as_normal(t[:1], freedom), _as_normal(t[1:], freedom - 1)])
     # A small value of a one-sided number is not unusual. This wastes half of the two-sided probability.
     return np.where(one_sided, np.maximum(z, 0.0), z)
+
+
+def _without_largest_block(blocks: Float) -> Float:
+    """Return sums over blocks (F, B) without the one that has the largest share; zero where nothing is left."""
+    total = blocks.sum(axis=1)
+    above = np.maximum(total - np.maximum(blocks.max(axis=1), 0.0), 0.0)
+    below = np.minimum(total - np.minimum(blocks.min(axis=1), 0.0), 0.0)
+    return np.asarray(np.where(total > 0.0, above, below))
+
+
+def family_critical_z(z: Float) -> float:
+    """Return the bound that the greatest deviation of a family exceeds in 5 % of logs without a missing effect.
+
+    Parameters
+    ----------
+    z : ndarray, shape (1 + N, F)
+        Deviations, see :func:`deviations`.
+    """
+    return _critical_z(_test_family(z).size)
+
+
+def _critical_z(size: float) -> float:
+    return float(-special.ndtri(0.5 * -np.expm1(np.log1p(-_CRITICAL_LEVEL) / size)))
 
 
 def _as_normal(t: Float, freedom: int) -> Float:

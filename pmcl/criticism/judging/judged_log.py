@@ -17,6 +17,7 @@ from pmcl.criticism.settings import Settings
 from pmcl.errors import FilterError
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
+from pmcl.streams import stream
 
 __all__ = ["JudgedLog", "in_doubt", "judge_log", "with_directions", "with_more_simulations", "with_split"]
 
@@ -81,10 +82,11 @@ def judge_log(
     """
     count = max(settings.simulations, _LEAST_SIMULATIONS + _PER_PARAMETER * fit.theta.size)
     settings.tell(f"scoring {len(directions)} directions, and simulating {count} logs")
-    seed = np.random.SeedSequence((settings.seed, 1))
+    seed = stream(settings.seed, "scores of the log")
     scored = score_log(
-        fit.bound, fit.theta, directions, particles=settings.particles, paths=settings.paths, seed=seed
-    )
+        fit.bound, fit.theta, directions, path=fit.drawn_path, particles=settings.particles, paths=settings.paths,
+        seed=seed,
+    )  # fmt: skip
     return _judged(scored, _simulated(log, fit, directions, range(count), settings), directions, split, settings)
 
 
@@ -121,15 +123,17 @@ def _simulated(
     """Simulate and score logs of the fitted model; the number of a log determines its random numbers."""
 
     def simulate_and_score(k: int) -> ScoredLog:
-        rng = make_rng(np.random.SeedSequence((settings.seed, 2, numbers[k])))
+        rng = make_rng(stream(settings.seed, "simulated log", numbers[k]))
         model = fit.bound.model
         by_turning = bool(getattr(model.motion, "aside_by_turning", False))
-        bound = model.bind(replicated_log(log, fit.tables, fit.path, rng, by_turning=by_turning))
-        seed = np.random.SeedSequence((settings.seed, 3, numbers[k]))
+        replica = replicated_log(log, fit.tables, fit.path, rng, by_turning=by_turning)
+        bound = model.bind(replica.log)
+        seed = stream(settings.seed, "scores of a simulated log", numbers[k])
         try:
             return score_log(
-                bound, fit.theta, directions, particles=settings.particles, paths=settings.paths, seed=seed
-            )
+                bound, fit.theta, directions, path=replica.path, particles=settings.particles, paths=settings.paths,
+                seed=seed,
+            )  # fmt: skip
         except FilterError as error:
             if error.row is None:
                 raise

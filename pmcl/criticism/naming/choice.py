@@ -223,7 +223,8 @@ def worth_it(best: Trial, critical_z: float) -> bool:
     A gain of z^2 / 2 nats has a standard error of about z. To require two standard errors is therefore to require
     z = 4 on the held-out part alone; one is enough if the whole log leaves no doubt, see :attr:`Trial.confirmed`. An
     effect whose own score exceeds its critical value has passed a test with a known error rate already. Any gain on the
-    held-out part confirms it, if the gain on the whole log exceeds its standard error.
+    held-out part confirms it, if the gain on the whole log exceeds its standard error. No gain may come from a single
+    block of rows, see :attr:`Trial.in_several_blocks`.
 
     Parameters
     ----------
@@ -233,7 +234,7 @@ def worth_it(best: Trial, critical_z: float) -> bool:
         Critical value of the candidates' scores.
     """
     if abs(best.z) > max(critical_z, _LEAST_CRITICAL_Z):
-        return best.on_heldout.total > 0.0 and best.on_all.total > max(PRACTICAL, best.on_all.se)
+        return best.in_several_blocks and best.on_all.total > max(PRACTICAL, best.on_all.se)
     return best.confirmed
 
 

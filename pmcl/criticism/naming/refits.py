@@ -14,6 +14,7 @@ from pmcl.criticism.naming.shortlist import RankedEffect
 from pmcl.criticism.scoring.scores import instance_key
 from pmcl.criticism.settings import FINER, Settings
 from pmcl.logs.robot_log import RobotLog
+from pmcl.streams import stream_seed
 
 __all__ = ["Refits"]
 
@@ -21,8 +22,6 @@ __all__ = ["Refits"]
 _GLANCE_PARTICLES = 2000
 # Models that held-out rows do not confirm are compared again with this many times the particles (chosen by hand).
 _MORE_PARTICLES = 4
-# Fits of a run use seeds of their own, this far from the seed of the run.
-_SEED_OFFSET = 100
 
 
 class Refits:
@@ -46,7 +45,7 @@ class Refits:
     @property
     def seed(self) -> int:
         """Seed of all refits."""
-        return self.settings.seed + _SEED_OFFSET
+        return stream_seed(self.settings.seed, "refits")
 
     def forget(self) -> None:
         """Forget all trials, because they belong to another current model."""

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from pmcl.criticism.naming.shortlist import REMARKABLE, SCAN_GAIN, distinct
 from pmcl.criticism.scoring.scores import Direction, probe_values
-from pmcl.errors import PmclError
+from pmcl.errors import DensityError, PmclError
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables, uniform
+from pmcl.streams import stream
 
 __all__ = ["scan"]
 
@@ -64,9 +65,11 @@ def scan(
     log, tables, n_steps = bound.logs[0], bound.tables(theta)[0], bound.lengths[0]
 
     def increments(edited: Tables, rows: int) -> Float:
-        rng = make_rng(np.random.SeedSequence((seed, 17)))
+        rng = make_rng(stream(seed, "scan"))
         try:
             return run_filter(edited, rows, particles, rng).log_increments
+        except DensityError:
+            raise
         except PmclError:
             return np.full(rows, -np.inf)
 

@@ -25,6 +25,7 @@ from pmcl.criticism.naming.shortlist import (
     RankedEffect,
     of_carrier,
     of_whole_robot,
+    same_instance,
     shortlist,
     untried,
     untried_twins,
@@ -102,6 +103,8 @@ class Search:
             )
         self.directions: tuple[Direction, ...] = ()
         self.judged: JudgedLog
+        # Candidates of the last search that were tried for their scores on all rows only.
+        self._only_by_all_rows: list[Effect] = []
 
     @property
     def settings(self) -> Settings:
@@ -201,7 +204,14 @@ class Search:
         scanned = scan(
             current.fit.bound, current.fit.theta, self.directions, z, self.settings.seed, self.settings.particles
         )
-        trials = refits.refit(current, shortlist(self.directions, z, scanned, last.judgement))
+        chosen = shortlist(self.directions, z, scanned, last.judgement)
+        on_fit_part = [ranked.effect for ranked in shortlist(self.directions, z, scanned, None)]
+        self._only_by_all_rows = [
+            ranked.effect
+            for ranked in chosen
+            if not any(same_instance(ranked.effect, effect) for effect in on_fit_part)
+        ]
+        trials = refits.refit(current, chosen)
         best, _ = choose(trials)
         if best is not None and best.absorber:
             more = shortlist(self.directions, z, scanned, last.judgement, more=True)
@@ -271,7 +281,8 @@ class Search:
         best, _ = choose(formulas.trials)
         if best is None or not worth_it(best, formulas.critical_z):
             return Outcome(None, None, formulas.trials)
-        return Outcome(best, found_effect(best, (), formulas.judgement, formulas.directions), formulas.trials)
+        found = self._found(best, (), formulas.judgement, formulas.directions, formulas.critical_z)
+        return Outcome(best, found, formulas.trials)
 
     def _beside_formulas(
         self, last: JudgedFit, current: Trial, trials: list[Trial], formulas: FormulaTrials
@@ -290,10 +301,32 @@ class Search:
             assert best is not None
             trials = trials + more
         best, twins = with_formulas(best, twins, formulas.trials, formulas.critical_z)
-        judgement, directions = last.judgement, self.directions
         if any(best is trial for trial in formulas.trials):
-            judgement, directions = formulas.judgement, formulas.directions
-        return Outcome(best, found_effect(best, twins, judgement, directions), trials + formulas.trials)
+            found = self._found(best, twins, formulas.judgement, formulas.directions, formulas.critical_z)
+        else:
+            found = self._found(best, twins, last.judgement, self.directions)
+        return Outcome(best, found, trials + formulas.trials)
+
+    def _found(
+        self,
+        best: Trial,
+        twins: Sequence[Trial],
+        judgement: Judgement,
+        directions: Sequence[Direction],
+        least_z: float = 0.0,
+    ) -> FoundEffect:
+        """Return an accepted effect, and say whether held-out rows helped to choose it.
+
+        They did when all rows moved the held-out part to the end of the log, when only the score on all rows made the
+        effect a candidate, or when its score on the fit part is not above `least_z`.
+        """
+        assert best.effect is not None
+        moved = self.split != int(FIT_SHARE * self.log.n_steps)
+        by_all_rows = any(same_instance(best.effect, effect) for effect in self._only_by_all_rows)
+        return replace(
+            found_effect(best, twins, judgement, directions),
+            chosen_on_all_rows=moved or by_all_rows or abs(best.z) < least_z,
+        )
 
     def comes_late(self, last: JudgedFit) -> bool:
         """Return whether some candidate has a remarkable score in the whole log and hardly one in the fit part."""

@@ -59,7 +59,11 @@ class RankedEffect(NamedTuple):
 
 
 def shortlist(
-    directions: Sequence[Direction], z: Float, scanned: dict[int, float], judgement: Judgement, more: bool = False
+    directions: Sequence[Direction],
+    z: Float,
+    scanned: dict[int, float],
+    judgement: Judgement | None,
+    more: bool = False,
 ) -> list[RankedEffect]:
     """Return the candidates worth a refit: structured ones by score and by scan, and absorbers.
 
@@ -73,8 +77,8 @@ def shortlist(
         Their standardised scores on the fit part.
     scanned : dict of int to float
         Gain in the scan [nat] by position of the direction, see :func:`pmcl.criticism.naming.scan.scan`.
-    judgement : Judgement
-        Tests of all rows.
+    judgement : Judgement, optional
+        Tests of all rows; without them the fit part alone chooses.
     more : bool
         Return instead the further structured candidates that are refitted before an absorber may be chosen.
     """
@@ -84,8 +88,10 @@ def shortlist(
         rest = structured[_BY_SCORE : _BY_SCORE + _MORE_STRUCTURED]
         return _ranked(directions, z, [k for k in rest if abs(z[k]) > REMARKABLE])
     absorbers = distinct(directions, [k for k in order if directions[k].effect.absorber])
-    whole = np.abs(judgement.z)
-    by_whole = distinct(directions, [int(k) for k in np.argsort(-whole) if whole[k] > judgement.critical_z])
+    by_whole: list[int] = []
+    if judgement is not None:
+        whole = np.abs(judgement.z)
+        by_whole = distinct(directions, [int(k) for k in np.argsort(-whole) if whole[k] > judgement.critical_z])
     by_score = structured[:_BY_SCORE] + absorbers[:_ABSORBERS]
     chosen = [directions[k].effect for k in distinct(directions, by_score + by_whole[:_BY_WHOLE_LOG])]
     greatest = {id(directions[k].effect): float(z[k]) for k in reversed(order)}

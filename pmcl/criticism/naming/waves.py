@@ -8,20 +8,19 @@ the critical value of the greatest of so many scores, and the wave is then a for
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from pmcl.criticism.judging.alarms import judge
+from pmcl.criticism.judging.alarms import BlockSums, deviations, family_critical_z
 from pmcl.criticism.judging.judged_log import JudgedLog
 from pmcl.criticism.naming.formulas import SteadyChange, steady_changes, wave
 from pmcl.criticism.naming.shortlist import RankedEffect
-from pmcl.criticism.scoring.scored_log import ScoredLog
 from pmcl.criticism.scoring.scores import directions_of, effect_scores
 from pmcl.criticism.settings import Settings
+from pmcl.filtering.paired_scores import block_sums
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.tables import Tables
@@ -89,21 +88,22 @@ def remarkable_waves(
         return effect_scores(tables_of_log, source.bound.logs[0], source.columns, directions)[:, :split]
 
     steady_scores = settings.mapped(score, "looking for waves in logs", [""] * len(logs))
-    scored, *simulated = [
-        _scored_waves(scored_log, scores @ profiles.T, split)
-        for scored_log, scores in zip(logs, steady_scores, strict=True)
-    ]
-    judgement = judge(
-        scored, simulated, [direction for direction in directions for _ in profiles], level=settings.level
+    deviation = deviations(
+        [
+            _sums_of_waves(scores, scored_log.parameter_scores[:, :split], profiles)
+            for scored_log, scores in zip(logs, steady_scores, strict=True)
+        ],
+        np.zeros(len(changes) * len(profiles), dtype=bool),
     )
-    z = np.abs(judgement.z).reshape(len(changes), frequencies.size, _PHASES)
+    critical_z = family_critical_z(deviation)
+    z = np.abs(deviation[0]).reshape(len(changes), frequencies.size, _PHASES)
     best = []
-    for change, scores, deviations in zip(changes, steady_scores[0], z, strict=True):
-        if deviations.max() > max(judgement.critical_z, least_z):
-            k = int(deviations.max(axis=1).argmax())
+    for change, scores, of_change in zip(changes, steady_scores[0], z, strict=True):
+        if of_change.max() > max(critical_z, least_z):
+            k = int(of_change.max(axis=1).argmax())
             effect = _best_wave(change, scores, times, frequencies, k, log)
-            best.append(RankedEffect(effect, float(deviations.max())))
-    return Waves(sorted(best, key=lambda ranked: -ranked.z), judgement.critical_z)
+            best.append(RankedEffect(effect, float(of_change.max())))
+    return Waves(sorted(best, key=lambda ranked: -ranked.z), critical_z)
 
 
 def _frequencies(times: Float) -> Float:
@@ -115,13 +115,34 @@ def _frequencies(times: Float) -> Float:
     return np.arange(_LEAST_PERIODS / span, greatest, 0.5 / span)
 
 
-def _scored_waves(scored: ScoredLog, scores: Float, split: int) -> ScoredLog:
-    """Return a scored log whose candidates are waves; sums over the fit part take the place of rows."""
-    parameter_scores = scored.parameter_scores[:, :split].sum(axis=1, keepdims=True)
-    return replace(
-        scored, scores=scores.reshape(-1, 1), parameter_scores=parameter_scores, features=(),
-        feature_values=np.empty(0),
-    )  # fmt: skip
+def _sums_of_waves(scores: Float, parameters: Float, profiles: Float) -> BlockSums:
+    """Return the scores of all waves of one log.
+
+    Parameters
+    ----------
+    scores : ndarray, shape (C, split)
+        Row scores of steady changes.
+    parameters : ndarray, shape (d, split)
+        Row scores of the model's own parameters.
+    profiles : ndarray, shape (P, split)
+        The waves.
+
+    Returns
+    -------
+    BlockSums
+        The waves of the first change come first.
+    """
+    blocks = np.concatenate([block_sums(change * profiles) for change in scores])
+    # The rows of so many waves are not kept: the sum of squares of their residuals follows from these moments.
+    squares = (scores**2 @ (profiles**2).T).ravel()
+    mixed = np.concatenate([profiles @ (change * parameters).T for change in scores])
+    own = parameters @ parameters.T
+
+    def squares_without(slope: Float) -> Float:
+        explained = np.einsum("df,fd->f", slope, mixed)
+        return np.asarray(np.maximum(squares - 2.0 * explained + np.einsum("df,de,ef->f", slope, own, slope), 0.0))
+
+    return BlockSums(blocks, block_sums(parameters), squares_without)
 
 
 def _best_wave(

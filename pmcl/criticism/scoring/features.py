@@ -1,7 +1,8 @@
 """Numbers that are close to zero or stable when a model is right, in families of related tests.
 
-All of them are sums over readings or rows, so they are nearly Gaussian. Their usual size is estimated from logs that
-the fitted model simulates (:mod:`pmcl.criticism.judging.alarms`), never from asymptotic theory.
+Those of residuals are sums over readings, so they are nearly Gaussian; they are kept as sums over blocks of rows. Their
+usual size is estimated from logs that the fitted model simulates (:mod:`pmcl.criticism.judging.alarms`), never from
+asymptotic theory.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from scipy import special
 
 from pmcl.criticism.scoring.covariates import RowCovariates
 from pmcl.filtering.one_step_ahead import Predictions
+from pmcl.filtering.paired_scores import block_starts
 
 __all__ = ["FAMILIES", "Feature", "fluctuation_features", "residual_features"]
 
@@ -72,15 +74,22 @@ class _Residuals(NamedTuple):
 
 
 class _Numbers:
-    """Features and their values, collected one by one."""
+    """Features and their sums over blocks of rows, collected one by one."""
 
-    def __init__(self) -> None:
+    def __init__(self, n_rows: int) -> None:
         self.features: list[Feature] = []
-        self.values: list[float] = []
+        self.blocks: list[Float] = []
+        self._starts = block_starts(n_rows)
 
-    def add(self, feature: Feature, value: float) -> None:
+    def add(self, feature: Feature, terms: Float, time: NDArray[np.int64]) -> None:
+        """Add a feature by the terms that are summed, with the row of each."""
+        block = np.searchsorted(self._starts, time, side="right") - 1
         self.features.append(feature)
-        self.values.append(float(value))
+        self.blocks.append(np.asarray(np.bincount(block, terms, self._starts.size), dtype=np.float64))
+
+    def sums(self) -> Float:
+        """Return the sums over blocks, (F, B)."""
+        return np.array(self.blocks).reshape(len(self.blocks), self._starts.size)
 
 
 def residual_features(
@@ -110,10 +119,10 @@ def residual_features(
     -------
     features : list of Feature
         What each number means.
-    values : ndarray, shape (F,)
-        The numbers.
+    blocks : ndarray, shape (F, B)
+        The numbers as sums over blocks of rows (:func:`pmcl.filtering.paired_scores.block_starts`).
     """
-    numbers = _Numbers()
+    numbers = _Numbers(row_covariates.time.size)
     of_rows = {name: column[predictions.time] for name, column in row_covariates._asdict().items()}
     covariates = {**reading_covariates, **of_rows}
     for number, kind in enumerate(predictions.kinds):
@@ -130,9 +139,9 @@ def residual_features(
             for covariate, column in covariates.items():
                 _add_dependence(numbers, residuals, covariate, column[selected])
         for order in range(3, 3 + _PIT_COSINES):
-            value = np.sqrt(2.0 / u.size) * np.cos(order * np.pi * u).sum()
-            numbers.add(Feature("uniformity", kind, -1, "", f"wave {order}"), value)
-    return numbers.features, np.array(numbers.values)
+            terms = np.sqrt(2.0 / u.size) * np.cos(order * np.pi * u)
+            numbers.add(Feature("uniformity", kind, -1, "", f"wave {order}"), terms, time)
+    return numbers.features, numbers.sums()
 
 
 def _add_uniformity(numbers: _Numbers, residuals: _Residuals) -> None:
@@ -141,8 +150,9 @@ def _add_uniformity(numbers: _Numbers, residuals: _Residuals) -> None:
     groups = [(-1, np.ones(residuals.values.size, dtype=bool))]
     groups += [(int(c), residuals.channel == c) for c in channels] if channels.size > 1 else []
     for channel, selected in groups:
-        value = residuals.values[selected].sum() / np.sqrt(np.count_nonzero(selected))
-        numbers.add(Feature("uniformity", residuals.kind, channel, "", residuals.moment), value)
+        terms = residuals.values[selected] / np.sqrt(np.count_nonzero(selected))
+        feature = Feature("uniformity", residuals.kind, channel, "", residuals.moment)
+        numbers.add(feature, terms, residuals.time[selected])
 
 
 def _add_serial(numbers: _Numbers, residuals: _Residuals, neighbours: bool) -> None:
@@ -150,19 +160,14 @@ def _add_serial(numbers: _Numbers, residuals: _Residuals, neighbours: bool) -> N
     values, channel, time = residuals.values, residuals.channel, residuals.time
     order = np.lexsort((time, channel))
     pairs = (channel[order][1:] == channel[order][:-1]) & (np.diff(time[order]) <= _CONSECUTIVE_ROWS)
-    product = (values[order][1:] * values[order][:-1])[pairs]
-    numbers.add(
-        Feature("serial", residuals.kind, -1, "time", residuals.moment), product.sum() / np.sqrt(max(product.size, 1))
-    )
+    product = (values[order][1:] * values[order][:-1])[pairs] / np.sqrt(max(int(np.count_nonzero(pairs)), 1))
+    numbers.add(Feature("serial", residuals.kind, -1, "time", residuals.moment), product, time[order][1:][pairs])
     if not neighbours:
         return
     order = np.lexsort((channel, time))
     pairs = time[order][1:] == time[order][:-1]
-    product = (values[order][1:] * values[order][:-1])[pairs]
-    numbers.add(
-        Feature("serial", residuals.kind, -1, "neighbour", residuals.moment),
-        product.sum() / np.sqrt(max(product.size, 1)),
-    )
+    product = (values[order][1:] * values[order][:-1])[pairs] / np.sqrt(max(int(np.count_nonzero(pairs)), 1))
+    numbers.add(Feature("serial", residuals.kind, -1, "neighbour", residuals.moment), product, time[order][1:][pairs])
 
 
 def _add_dependence(numbers: _Numbers, residuals: _Residuals, covariate: str, column: Float) -> None:
@@ -185,7 +190,8 @@ def _add_dependence(numbers: _Numbers, residuals: _Residuals, covariate: str, co
         centred = form - form.mean()
         norm = np.sqrt(centred @ centred)
         if norm > _VARIES * np.sqrt(form.size) * (np.abs(form).max() + 1e-300):
-            numbers.add(Feature("covariate", residuals.kind, -1, name, residuals.moment), values @ centred / norm)
+            feature = Feature("covariate", residuals.kind, -1, name, residuals.moment)
+            numbers.add(feature, values * centred / norm, residuals.time[known])
 
 
 def fluctuation_features(

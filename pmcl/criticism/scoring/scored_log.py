@@ -13,8 +13,9 @@ from pmcl.criticism.scoring.covariates import RowCovariates, reading_covariates,
 from pmcl.criticism.scoring.features import Feature, fluctuation_features, residual_features
 from pmcl.criticism.scoring.scores import Direction, effect_scores, parameter_scores
 from pmcl.engine.contract import reading_exponent
-from pmcl.filtering.one_step_ahead import Predictions, predict_readings
-from pmcl.filtering.particle_filter import draw_paths, make_rng
+from pmcl.filtering.not_a_number import parameters_told
+from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
+from pmcl.filtering.particle_filter import draw_paths_beside, make_rng
 from pmcl.models.robot_model import BoundModel
 
 __all__ = ["ScoredLog", "Source", "rescored", "score_log"]
@@ -35,15 +36,12 @@ class Source(NamedTuple):
         Trajectories drawn given all readings.
     residual_features : tuple of Feature
         Features of the residuals, which do not depend on candidates.
-    residual_values : ndarray
-        Their values.
     """
 
     bound: BoundModel
     theta: Float
     columns: Float
     residual_features: tuple[Feature, ...]
-    residual_values: Float
 
 
 @dataclass(frozen=True)
@@ -67,9 +65,11 @@ class ScoredLog:
     scores : ndarray, shape (K, T)
         Score of each candidate direction, row by row.
     features : tuple of Feature
-        Meaning of each feature value.
-    feature_values : ndarray, shape (F,)
-        Residual and fluctuation features, in the order of `features`.
+        Meaning of each residual number, then of each fluctuation.
+    residual_blocks : ndarray, shape (R, B)
+        The R residual numbers as sums over blocks of rows.
+    fluctuations : ndarray, shape (F,)
+        The F fluctuations.
     source : Source
         What further candidates are scored from.
     """
@@ -82,7 +82,8 @@ class ScoredLog:
     parameter_scores: Float
     scores: Float
     features: tuple[Feature, ...]
-    feature_values: Float
+    residual_blocks: Float
+    fluctuations: Float
     source: Source
 
 
@@ -91,11 +92,17 @@ def score_log(
     theta: Float,
     directions: Sequence[Direction],
     *,
+    path: Float,
     particles: int,
     paths: int,
     seed: int | np.random.SeedSequence,
 ) -> ScoredLog:
-    """Run the filter once over a log, and compute its residuals and scores.
+    """Compute the residuals and scores of a log from several passes of the filter.
+
+    Residuals come from independent passes that are mixed (:func:`pmcl.filtering.one_step_ahead.predict_by_passes`).
+    Scores are means over trajectories drawn beside a given one
+    (:func:`pmcl.filtering.particle_filter.draw_paths_beside`). At a row where all particles of one pass miss what was
+    read, neither the residuals nor the trajectories depend on that pass alone.
 
     Parameters
     ----------
@@ -105,10 +112,12 @@ def score_log(
         Its parameters.
     directions : sequence of Direction
         Candidates to score.
+    path : ndarray, shape (T, D)
+        A trajectory drawn given all readings, headings not wrapped.
     particles : int
-        Particles n of the filter.
+        Particles n of each pass.
     paths : int
-        Number of trajectories drawn backward from it, over which scores are averaged.
+        Number of trajectories over which scores are averaged.
     seed : int or SeedSequence
         Determines all random numbers.
 
@@ -121,26 +130,27 @@ def score_log(
     ------
     FilterError
         When the filter loses the robot entirely.
+    DensityError
+        When a density is not a number.
     """
     log, tables = bound.logs[0], bound.tables(theta)[0]
     rng = make_rng(seed)
-    predictions = predict_readings(tables, bound.lengths[0], particles, rng)
-    drawn = draw_paths(tables, predictions.filtered, paths, rng)
-    # Some tens of scored logs are kept at once; without this each would keep all of its particles.
-    predictions = predictions.without_particles()
+    with parameters_told(bound, theta):
+        predictions = predict_by_passes(tables, bound.lengths[0], particles, rng)
+        drawn = draw_paths_beside(tables, path, particles, paths, rng)
     columns = np.ascontiguousarray(drawn.transpose(0, 2, 1))
-    path = drawn.mean(axis=0)
-    of_rows = row_covariates(log, path)
+    mean = drawn.mean(axis=0)
+    of_rows = row_covariates(log, mean)
     of_readings = reading_covariates(
-        tables, path, predictions.sensor, predictions.channel, predictions.time, predictions.kind
+        tables, mean, predictions.sensor, predictions.channel, predictions.time, predictions.kind
     )
     pit = predictions.pit(rng)
     tempered = [number for number, sensor in enumerate(tables.sensors) if reading_exponent(sensor) != 1.0]
-    features, values = residual_features(predictions, pit, of_readings, of_rows, tempered)
+    features, blocks = residual_features(predictions, pit, of_readings, of_rows, tempered)
     no_scores = np.empty((0, bound.lengths[0]))
     without_candidates = ScoredLog(
-        predictions, pit, path, of_rows, of_readings, parameter_scores(bound, theta, columns), no_scores, (),
-        np.empty(0), Source(bound, theta, columns, tuple(features), np.asarray(values)),
+        predictions, pit, mean, of_rows, of_readings, parameter_scores(bound, theta, columns), no_scores, (),
+        blocks, np.empty(0), Source(bound, theta, columns, tuple(features)),
     )  # fmt: skip
     return rescored(without_candidates, directions)
 
@@ -160,17 +170,14 @@ def rescored(scored: ScoredLog, directions: Sequence[Direction]) -> ScoredLog:
     ScoredLog
         A copy with other scores and the features computed from them.
     """
-    bound, theta, columns, features, values = scored.source
+    bound, theta, columns, features = scored.source
     scores = effect_scores(bound.tables(theta)[0], bound.logs[0], columns, directions)
     ordered = [k for k, direction in enumerate(directions) if not direction.one_sided and not direction.effect.where]
     labels = [*bound.names, *(_label(directions[k]) for k in ordered)]
-    fluctuations, further_values = fluctuation_features(
+    fluctuations, values = fluctuation_features(
         labels, np.concatenate([scored.parameter_scores, scores[ordered]]), scored.row_covariates
     )
-    return replace(
-        scored, scores=scores, features=(*features, *fluctuations),
-        feature_values=np.concatenate([values, further_values]),
-    )  # fmt: skip
+    return replace(scored, scores=scores, features=(*features, *fluctuations), fluctuations=values)
 
 
 def _label(direction: Direction) -> str:

@@ -9,7 +9,8 @@ row, which shows where and when it acts.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.contract import state_size
-from pmcl.errors import PmclError
+from pmcl.errors import DensityError, PmclError
 from pmcl.filtering.kernels import smc
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -182,16 +183,23 @@ def effect_scores(tables: Tables, log: RobotLog, columns: Float, directions: Seq
     ndarray, shape (K, T)
         Change of the log density [nat] of each row from `below` to `above` (half of it for two-sided directions), mean
         over the trajectories. Cost: K times two densities of M paths, of the tables that the effect edits only.
+
+    Raises
+    ------
+    DensityError
+        When a density is not a number, with the time and the values of the effect.
     """
     scores = np.zeros((len(directions), columns.shape[2]))
     densities = _Densities(columns, tables)
     for score, direction in zip(scores, directions, strict=True):
         above = _on_the_same_states(direction.effect.edit(tables, direction.above, log), tables)
-        if direction.one_sided:
-            densities.add_difference(above, tables, score)
-        else:
+        below = tables
+        if not direction.one_sided:
             below = _on_the_same_states(direction.effect.edit(tables, direction.below, log), tables)
+        names = [parameter.name for parameter in direction.effect.parameters]
+        with _scored_between(direction.effect.name, log, names, direction.below, direction.above):
             densities.add_difference(above, below, score)
+        if not direction.one_sided:
             score *= 0.5
     return scores
 
@@ -216,6 +224,11 @@ def parameter_scores(bound: BoundModel, theta: Float, columns: Float) -> Float:
     -------
     ndarray, shape (d, T)
         Half the change of the log density [nat] of each row, mean over the trajectories.
+
+    Raises
+    ------
+    DensityError
+        When a density is not a number, with the time and the parameters.
     """
     scores = np.zeros((theta.size, columns.shape[2]))
     densities = _Densities(columns, bound.tables(theta)[0])
@@ -226,15 +239,40 @@ def parameter_scores(bound: BoundModel, theta: Float, columns: Float) -> Float:
     step = np.minimum(step, _OF_SUPPORT * np.minimum(theta - bounds[:, 0], bounds[:, 1] - theta))
     for k, score in enumerate(scores):
         shift = step[k] * (np.arange(theta.size) == k)
-        densities.add_difference(bound.tables(theta + shift)[0], bound.tables(theta - shift)[0], score)
+        below, above = theta - shift, theta + shift
+        with _scored_between("the model", bound.logs[0], bound.names, below, above):
+            densities.add_difference(bound.tables(above)[0], bound.tables(below)[0], score)
     return 0.5 * scores
 
 
 def _mean_change(above: Float, below: Float) -> Float:
     """Return the mean change over trajectories (M, T), limited; a row that is impossible under both models has 0."""
+    bad = np.isnan(above) | np.isnan(below)
+    if bad.any():
+        row = int(np.flatnonzero(bad.any(axis=0))[0])
+        raise DensityError(f"at row {row} a density is not a number", row=row)
+    impossible = (above == -np.inf) & (below == -np.inf)
     with np.errstate(invalid="ignore"):
         change = np.clip(above - below, -_GREATEST_CHANGE, _GREATEST_CHANGE)
-    return np.asarray(np.where(np.isnan(change), 0.0, change).mean(axis=0))
+    return np.asarray(np.where(impossible, 0.0, change).mean(axis=0))
+
+
+@contextmanager
+def _scored_between(what: str, log: RobotLog, names: Sequence[str], below: Float, above: Float) -> Iterator[None]:
+    """Add to the message of a density that is not a number what is scored, the time and the parameters."""
+    try:
+        yield
+    except DensityError as error:
+        when = "" if error.row is None else f"at t={log.times[error.row]:g} s (row {error.row}) "
+        ends = (
+            ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
+            for values in (below, above)
+        )
+        raise DensityError(
+            f"{log.where}: {when}a density is not a number where {what} is scored between {' and '.join(ends)}; check "
+            "the coefficient tables at that row",
+            row=error.row,
+        ) from None
 
 
 class _Densities:

@@ -7,6 +7,8 @@ and a soft pull back to the path, because commands alone would lead it through w
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ from pmcl.models.sensor import sensor_of
 from pmcl.models.starts.table import GaussianStart
 from pmcl.models.tables import Tables
 
-__all__ = ["replicated_log"]
+__all__ = ["Replica", "replicated_log"]
 
 Float = NDArray[np.float64]
 
@@ -28,9 +30,26 @@ _CORRECTED_SHARE = 0.15
 _SHORTEST_STEP = 1e-3
 
 
+class Replica(NamedTuple):
+    """A simulated log.
+
+    Attributes
+    ----------
+    log : RobotLog
+        The log: the same times, map, beams and missing readings, new odometry (that of the log plus the steering) and
+        new readings, without reference trajectory and true parameters.
+    path : ndarray, shape (T, D)
+        The trajectory of the simulated robot, headings not wrapped [m, m, rad]. Simulated together with the readings,
+        it is a draw given these.
+    """
+
+    log: RobotLog
+    path: Float
+
+
 def replicated_log(
     log: RobotLog, tables: Tables, reference: Float, rng: np.random.Generator, *, by_turning: bool = False
-) -> RobotLog:
+) -> Replica:
     """Simulate a log again from a fitted model.
 
     Parameters
@@ -48,9 +67,7 @@ def replicated_log(
 
     Returns
     -------
-    RobotLog
-        A log with the same times, map, beams and missing readings, new odometry (that of the log plus the steering)
-        and new readings, without reference trajectory and true parameters.
+    Replica
 
     Raises
     ------
@@ -73,7 +90,7 @@ def replicated_log(
     for table in tables.sensors:
         sensor = sensor_of(table)
         sensor.store(sensor.replicate(table, path, rng), dataset)
-    return RobotLog.trusted(dataset, f"{log.where} (simulated)", log.grid_map)
+    return Replica(RobotLog.trusted(dataset, f"{log.where} (simulated)", log.grid_map), np.asarray(path))
 
 
 def _swerve(mean: Float) -> float:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pmcl.engine.compile import entry, kernel
 from pmcl.engine.contract import draw_start, propagate, scratch_rows, state_size
 from pmcl.engine.sensor_tuples import any_reading, count_slots, most_rows
-from pmcl.filtering.kernels.resampling import draw_parents
+from pmcl.filtering.kernels.resampling import Independent, draw_parents
 from pmcl.filtering.kernels.weighing import FINE, AllAtOnce, OneByOne, normalise, weigh
 
-__all__ = ["FilterWork", "History", "filter_pass", "forward", "predictive_pass", "work_rows"]
+__all__ = ["FilterWork", "History", "conditional_pass", "filter_pass", "forward", "predictive_pass", "work_rows"]
 
 Float = NDArray[np.float64]
 
@@ -152,6 +152,20 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
     arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
     status, t, log_evidence = forward(
         tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0), arrays
+    )
+    return status, t, log_evidence, particles, log_weights, steps, ancestors
+
+
+@entry
+def conditional_pass(tables, rng, path, n):
+    """Filter with one particle that follows `path` (T, D) (conditional SMC); return what :func:`filter_pass` does."""
+    n_steps, size = path.shape
+    particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
+    history = History(particles, log_weights, ancestors)
+    arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
+    status, t, log_evidence = forward(
+        tables, rng, n_steps, Independent(1), 1.0, True, path, AllAtOnce(0.0), arrays
     )
     return status, t, log_evidence, particles, log_weights, steps, ancestors
 

@@ -72,6 +72,14 @@ def _update_terms_compiled(parts, position, theta, k, terms, trial):
 
 
 @kernel
+def _sum(terms):
+    value = 0.0
+    for i in range(terms.size):
+        value += terms[i]
+    return value
+
+
+@kernel
 def _change(trial, terms):
     value = 0.0
     for i in range(trial.size):
@@ -100,11 +108,18 @@ def metropolis_block(rng, theta, log_step, n_rounds, gain, target, priors, parts
         Residuals of the current trajectory.
     accepted : ndarray, shape (d,)
         Receives the share of accepted proposals of each dimension.
+
+    Returns
+    -------
+    bool
+        False when a density is not a number; `theta` is then the point at which it is not.
     """
     terms, trial = np.zeros(len(parts)), np.zeros(len(parts))
     _update_terms(parts, 0, theta, -1, terms, terms)
     for k in range(theta.size):
         accepted[k] = 0.0
+    if math.isnan(_sum(terms)):
+        return False
     for _ in range(n_rounds):
         for k in range(theta.size):
             old = theta[k]
@@ -112,8 +127,9 @@ def metropolis_block(rng, theta, log_step, n_rounds, gain, target, priors, parts
             log_ratio = log_prior(priors, k, theta[k]) - log_prior(priors, k, old)
             if log_ratio > -np.inf:
                 _update_terms(parts, 0, theta, k, terms, trial)
+                if math.isnan(_sum(trial)):
+                    return False
                 log_ratio += _change(trial, terms)
-            # A comparison with NaN is False: a density that is not a number is never accepted.
             yes = math.log(rng.random()) < log_ratio
             if yes:
                 for i in range(terms.size):
@@ -122,3 +138,4 @@ def metropolis_block(rng, theta, log_step, n_rounds, gain, target, priors, parts
             else:
                 theta[k] = old
             log_step[k] += gain * ((1.0 if yes else 0.0) - target)
+    return True

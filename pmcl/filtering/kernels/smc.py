@@ -12,7 +12,15 @@ import numpy as np
 from pmcl.engine.compile import entry
 from pmcl.filtering.kernels.backward import WEIGHED, BackwardWork, backward, sample_backward
 from pmcl.filtering.kernels.densities import joint_logpdf, joint_terms, motion_terms, sensor_terms
-from pmcl.filtering.kernels.forward import FilterWork, History, filter_pass, forward, predictive_pass, work_rows
+from pmcl.filtering.kernels.forward import (
+    FilterWork,
+    History,
+    conditional_pass,
+    filter_pass,
+    forward,
+    predictive_pass,
+    work_rows,
+)
 from pmcl.filtering.kernels.resampling import Independent
 from pmcl.filtering.kernels.weighing import ALL_ZERO, FINE, NO_ANCESTOR, NOT_A_NUMBER, AllAtOnce
 
@@ -21,6 +29,7 @@ __all__ = [
     "FINE",
     "NOT_A_NUMBER",
     "NO_ANCESTOR",
+    "conditional_pass",
     "filter_pass",
     "joint_logpdf",
     "joint_terms",

@@ -1,6 +1,7 @@
 """An echo from a known distance: Gaussian or Student t around what is expected, clipped to the range, and rounded.
 
-A clipped reading has a probability instead of a density. The density of a rounded one is constant over its cell.
+A clipped reading has a probability instead of a density. The density of a rounded one is constant over its cell. A
+sensor that rounds also prints 0 and its greatest range for echoes that lie less than half a step inside.
 """
 
 from __future__ import annotations
@@ -25,21 +26,39 @@ __all__ = ["draw_echo", "echo_below", "echo_below_into", "echo_logpdf", "echo_lo
 
 Float = NDArray[np.float64]
 
+# Multiples of a step are computed with this error, as a share of the step.
+_ROUNDING_ERROR = 1e-6
+
+
+@kernel
+def _ends(sensor):
+    """Return below what echoes are printed as 0, and from where on as the greatest range [m].
+
+    The greatest range may lie between two multiples of the step; if it is the lower one's own cell that it lies in,
+    only echoes beyond it are printed as the greatest range.
+    """
+    step, longest = sensor.extras.step, sensor.max_range
+    if step == 0.0:
+        return 0.0, longest
+    last = math.floor(longest / step + 0.5) * step
+    return 0.5 * step, (last - 0.5 * step if last > longest - _ROUNDING_ERROR * step else longest)
+
 
 @kernel
 def _cell(sensor, z):
-    """Return the cell of a rounded reading, cut to where readings may lie."""
+    """Return the cell of a rounded reading between the two ends, cut to where readings may lie."""
     centre = math.floor(z / sensor.extras.step + 0.5) * sensor.extras.step
-    return max(centre - 0.5 * sensor.extras.step, 0.0), min(centre + 0.5 * sensor.extras.step, sensor.max_range)
+    return centre - 0.5 * sensor.extras.step, min(centre + 0.5 * sensor.extras.step, sensor.max_range)
 
 
 @kernel
 def _clipped_or_rounded_logpdf(sensor, z, centre, std):
     tail = sensor.extras.tail
-    if z <= 0.0:
-        return log_upper_tail(centre / std, tail)
-    if z >= sensor.max_range:
-        return log_upper_tail((sensor.max_range - centre) / std, tail)
+    shortest, longest = _ends(sensor)
+    if z <= 0.0 or z < shortest:
+        return log_upper_tail((centre - shortest) / std, tail)
+    if z >= longest:
+        return log_upper_tail((longest - centre) / std, tail)
     low, high = _cell(sensor, z)
     return interval_probability((low - centre) / std, (high - centre) / std, tail) - math.log(high - low)
 
@@ -91,9 +110,10 @@ def echo_logpdf_into(sensor, n, z, centre, std, even, draft, out):
 @kernel
 def echo_below(sensor, z, centre, std):
     """Return the probabilities that an echo reads less than `z`, and less or the same."""
-    tail, longest = sensor.extras.tail, sensor.max_range
-    if z <= 0.0:
-        return 0.0, upper_tail(centre / std, tail)
+    tail = sensor.extras.tail
+    shortest, longest = _ends(sensor)
+    if z <= 0.0 or z < shortest:
+        return 0.0, upper_tail((centre - shortest) / std, tail)
     if z >= longest:
         return upper_tail((centre - longest) / std, tail), 1.0
     if sensor.extras.step > 0.0:
@@ -129,11 +149,9 @@ def draw_echo(table: RangeBeams, centre: Float, std: Float, rng: np.random.Gener
 
 
 def _rounded(table: RangeBeams, reading: Float) -> Float:
-    """Return the middle of the cell that each unclipped reading falls into; cells end where readings do."""
+    """Return the multiple of the step next to each reading; the greatest range is printed as it is."""
     step, longest = extras_of(table).step, table.max_range
     if step == 0.0:
         return reading
     centre = np.floor(reading / step + 0.5) * step
-    low, high = np.maximum(centre - 0.5 * step, 0.0), np.minimum(centre + 0.5 * step, longest)
-    middle = np.where((centre > 0.0) & (centre < longest), centre, 0.5 * (low + high))
-    return np.where((reading > 0.0) & (reading < longest), middle, reading)
+    return np.where((reading < longest) & (centre < longest - _ROUNDING_ERROR * step), centre, longest)
