@@ -1,4 +1,4 @@
-"""Logs in which nothing is hidden, judged by logs of their own fitted models: small p-values are as rare as they say."""
+"""Logs in which nothing is hidden, judged by logs of their fitted models: small p-values are as rare as they say."""
 
 from __future__ import annotations
 
