@@ -148,13 +148,13 @@ def judge(
 
     Two further rules let no few rows decide. They hold for the log and for the simulated logs alike, and never make a
     deviation larger. First, a number counts without its largest block of fifteen rows. Fluctuations are no sums, but
-    relative to the root of their sum of squares, which bounds what a single row can do. Second, a score is divided by
-    the spread of the simulated logs or by that of its own rows, whichever is larger. A score is a martingale when the
+    relative to the root of their sum of squares, which bounds what a single row can do. Second, the variance of a score
+    grows with the squares of its own rows, where these are larger than in the simulated logs. A score is a martingale when the
     model is right, and some tens of simulated logs say nothing of rare rows: with an ideal filter, the spread of other
     logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the sum of
     the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the steps, M
     exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance used here
-    is at least V.
+    is V, or that of the simulated logs where this is larger.
 
     References
     ----------
@@ -278,7 +278,7 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
     if all(log.squares is not None for log in logs):
         own = np.array([log.squares(slope) for log in logs if log.squares is not None])
         expected = np.concatenate([own[1:].mean(axis=0)[None], (own[1:].sum(axis=0) - own[1:]) / (n - 1)])
-        variance *= np.maximum(1.0, (own + floor) / (expected + floor))
+        variance *= np.maximum(1.0, (2.0 + (own + floor) / (expected + floor)) / 3.0)
     if logs[0].blocks.shape[1] > 1:
         constant = values - residual - parameters @ slope
         residual = np.array(
