@@ -63,7 +63,7 @@ def test_false_alarms_come_at_the_rate_asked_for(rng):
         own.append(judged.z[0])
     # Four binomial standard deviations around 5 %; 9 % would be seen.
     assert abs(alarms / runs - 0.05) < 4.0 * np.sqrt(0.05 * 0.95 / runs)
-    # Single deviations are conservative: each counts without its largest block.
+    # Single deviations are conservative: the largest block of each is bounded.
     assert 0.5 < np.std(own) < 1.0
     assert stats.kstest(own, "norm", alternative="less").statistic < 0.5
 
@@ -138,12 +138,12 @@ def test_rare_rows_that_simulated_logs_do_not_have_raise_no_alarm(rng):
         alone = [BlockSums(one.blocks.sum(axis=1, keepdims=True), np.empty((0, 1))) for one in few]
         whole.append(deviations(alone, np.zeros(1, dtype=bool))[0, 0])
     assert np.max(np.abs(bounded)) < 3.0
-    # Two such rows survive without the largest block; the log's own spread is needed as well.
+    # Two such rows survive the bound on the largest block; the log's own spread is needed as well.
     assert np.mean(np.abs(whole) > 3.5) > 0.05
     assert np.max(np.abs(bounded)) <= np.max(np.abs(by_others))
 
 
-def test_an_alarm_survives_without_its_largest_block(rng):
+def test_no_single_block_makes_an_alarm(rng):
     """The same sum from all rows, from two distant blocks, and from one row."""
     z = {}
     for name, rows in (("all", slice(None)), ("two blocks", [10, 90]), ("one row", [50])):

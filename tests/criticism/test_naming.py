@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy import stats
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
-from pmcl.criticism.fitting.trials import Trial, occam_factor, spare_effects, trial_of_base, try_effect
+from pmcl.criticism.fitting.trials import Trial, from_null, occam_factor, spare_effects, trial_of_base, try_effect
 from pmcl.criticism.naming import scan as scan_module
 from pmcl.criticism.naming.choice import (
     choose,
@@ -18,6 +19,7 @@ from pmcl.criticism.naming.choice import (
     contenders_when_lost,
     leaders,
     with_formulas,
+    worth_it,
 )
 from pmcl.criticism.naming.scan import scan
 from pmcl.criticism.naming.shortlist import (
@@ -118,6 +120,34 @@ def test_what_a_prior_loses_is_exact_for_a_gaussian(rng):
     assert occam_factor(fit, 1) == pytest.approx(expected)
     assert expected > 2.5
     assert occam_factor(fit, 0) == 0.0
+
+
+def test_the_distance_from_no_effect_is_that_of_the_draws(rng):
+    """The greatest of its strengths counts, in standard deviations; mixture weights and the like have no distance."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    other, draws = rng.standard_normal(300), 0.03 + 0.01 * rng.standard_normal(300)
+    free = np.array([True])
+    scale = effect_named("odometry-forward-scale", log)
+    found = from_null(SimpleNamespace(draws=np.column_stack([other, draws])), scale, free)
+    assert found == pytest.approx(abs(draws.mean() - scale.null[0]) / draws.std())
+    assert found > 2.5
+    mount = effect_named("sensor-offset", log)
+    both = np.column_stack([other, 0.001 * other, draws])
+    assert from_null(SimpleNamespace(draws=both), mount, np.array([True, True])) == pytest.approx(
+        draws.mean() / draws.std()
+    )
+    misread = effect_named("landmark-misread", log)
+    assert from_null(SimpleNamespace(draws=both), misread, np.ones(len(misread.parameters), dtype=bool)) == np.inf
+    assert from_null(SimpleNamespace(draws=both), scale, np.array([False])) == np.inf
+
+
+def test_what_a_fit_cannot_tell_from_no_effect_is_not_accepted():
+    log, rng = simulate_landmark_field(60, 1, bearings=True), np.random.default_rng(1)
+    base = rng.normal(0.0, 1.0, 1000)
+    trial = made_trial("odometry-turn-scale", log, base + 0.2 + 0.1 * rng.standard_normal(1000), base)
+    assert worth_it(trial, 3.0)
+    assert worth_it(replace(trial, from_null=2.1), 3.0)
+    assert not worth_it(replace(trial, from_null=1.9), 3.0)
 
 
 def test_a_formula_replaces_a_name_that_it_clearly_beats_and_is_told_beside_one_that_it_does_not():

@@ -190,7 +190,7 @@ def test_an_effect_that_held_out_rows_confirm_is_not_hidden_by_an_accident_of_th
     monkeypatch.setattr(one, "_formula_trials", lambda *_: FormulaTrials([], (), last.judgement, 3.0))
     monkeypatch.setattr(one.refits, "refit_thoroughly", lambda current, trials, chosen: trials)
     monkeypatch.setattr(one.refits, "refit_leaders", lambda current, trials, rivals: trials)
-    monkeypatch.setattr(search, "found_effect", lambda best, *_: best)
+    monkeypatch.setattr(one, "_found", lambda best, *_: best)
     outcome = one._search_further(last, other, [accident, other, lucky])
     assert outcome.accepted is (other if confirmed else None)
     assert {found.effect.name for found in outcome.trials} == {

@@ -21,7 +21,8 @@ from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import RobotModel
 
 __all__ = [
-    "PRACTICAL", "Trial", "occam_factor", "refitted", "scored_anew", "spare_effects", "trial_of_base", "try_effect",
+    "PRACTICAL", "Trial", "from_null", "occam_factor", "refitted", "scored_anew", "spare_effects", "trial_of_base",
+    "try_effect",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
@@ -61,6 +62,8 @@ class Trial:
         Whether the fit is a thorough one.
     occam : float
         What the prior of the effect's parameters loses, see :func:`occam_factor` [nat].
+    from_null : float
+        Distance of the effect's strengths from no effect, see :func:`from_null` [standard deviations].
     """
 
     effect: Effect | None
@@ -74,6 +77,7 @@ class Trial:
     particles: int = 0
     thorough: bool = False
     occam: float = 0.0
+    from_null: float = np.inf
 
     @property
     def p_value(self) -> float:
@@ -186,7 +190,8 @@ def try_effect(
         return None
     gains = _gains(scores, current.row_scores, split)
     occam = occam_factor(fitted, int(free.sum()))
-    return Trial(effect, model, fitted, scores, z, *gains, particles, effort == THOROUGH, occam)
+    distance = from_null(fitted, effect, free)
+    return Trial(effect, model, fitted, scores, z, *gains, particles, effort == THOROUGH, occam, distance)
 
 
 def occam_factor(fit: Fit, count: int) -> float:
@@ -216,6 +221,36 @@ def occam_factor(fit: Fit, count: int) -> float:
     return max(0.0, -prior - float(log_volume))
 
 
+def from_null(fit: Fit, effect: Effect, free: NDArray[np.bool_]) -> float:
+    """Return how far the last parameters of a fit, those of an effect, are from no effect.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    effect : Effect
+        The effect.
+    free : ndarray of bool, shape (k,)
+        Which of its parameters are fitted.
+
+    Returns
+    -------
+    float
+        The greatest distance of a strength from its null in standard deviations of its draws. A strength with a bound
+        at the null, such as the weight of a mixture, never lies far from it in these terms: it has no distance, and
+        neither has an effect that the data show without a fit. The distance of these is infinite.
+    """
+    strengths = [k for k in effect.strengths if free[k]]
+    if not strengths or any(effect.squared or effect.one_sided(k) for k in strengths):
+        return float("inf")
+    draws = fit.draws[:, -int(free.sum()) :]
+    position = np.cumsum(free) - 1
+    return max(
+        float(abs(draws[:, position[k]].mean() - effect.null[k]) / (draws[:, position[k]].std() + 1e-300))
+        for k in strengths
+    )
+
+
 def refitted(
     trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int, effort: Effort
 ) -> Trial:
@@ -242,13 +277,25 @@ def refitted(
             bound.restricted(split), seed, theta=before.theta, path=before.path, draws=before.draws, effort=effort
         )
         count = fitted.theta.size - current.fit.theta.size
-        longer = replace(trial, fit=fitted, thorough=effort == THOROUGH, occam=occam_factor(fitted, count))
+        longer = replace(
+            trial, fit=fitted, thorough=effort == THOROUGH, occam=occam_factor(fitted, count),
+            from_null=_distance_of(trial, fitted),
+        )  # fmt: skip
         return scored_anew(longer, current, log, split, seed=seed, particles=particles)
     except DensityError:
         raise
     except PmclError as error:
         _logger.debug("a longer fit with %s fails: %s", trial.model.effects[-1].name, error)
         return trial
+
+
+def _distance_of(trial: Trial, fit: Fit) -> float:
+    """Return the distance of a trial's effect from none under a longer fit."""
+    if trial.effect is None:
+        return float("inf")
+    newest = trial.model.named_effects[-1]
+    free = np.array([parameter.name not in trial.model.fixed for parameter in newest.parameters])
+    return from_null(fit, trial.effect, free)
 
 
 def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:

@@ -21,6 +21,9 @@ __all__ = ["Alarm", "BlockSums", "Judgement", "deviations", "family_critical_z",
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+# The largest block of a number counts at most this share of what all the others add up to (chosen by hand): it is at
+# most a third of the number then, and one row cannot make an alarm.
+_OF_THE_OTHERS = 0.5
 # Share of logs without a missing effect in which the greatest score exceeds the critical value.
 _CRITICAL_LEVEL = 0.05
 
@@ -146,15 +149,16 @@ def judge(
     greatest deviation of a family is treated as that of K' independent ones, where K' is fitted to the greatest
     deviations of the simulated logs. The size of a family and the tail of its distribution need not be known.
 
-    Two further rules let no few rows decide. They hold for the log and for the simulated logs alike, and never make a
-    deviation larger. First, a number counts without its largest block of fifteen rows. Fluctuations are no sums, but
-    relative to the root of their sum of squares, which bounds what a single row can do. Second, the variance of a score
-    grows with the squares of its own rows, where these are larger than in the simulated logs. A score is a martingale when the
-    model is right, and some tens of simulated logs say nothing of rare rows: with an ideal filter, the spread of other
-    logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the sum of
-    the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the steps, M
-    exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance used here
-    is V, or that of the simulated logs where this is larger.
+    Two further rules let no few rows decide. They never make a deviation larger. First, the largest block of fifteen
+    rows is at most a third of a number of the log. The simulated logs' numbers are whole, so that p-values can only
+    become larger by this rule. Fluctuations are no sums, but relative to the root of their sum of squares, which bounds
+    what a single row can do. Second, the variance of a score grows with the squares of its own rows, where these are
+    larger than in the simulated logs. This holds for the log and for the simulated logs alike. A score is a martingale
+    when the model is right, and some tens of simulated logs say nothing of rare rows: with an ideal filter, the spread
+    of other logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the
+    sum of the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the
+    steps, M exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance
+    used here is V, or that of the simulated logs where this is larger.
 
     References
     ----------
@@ -221,11 +225,14 @@ class BlockSums(NamedTuple):
     squares : callable, optional
         ``squares(slope) -> (F,)``: sums of the squared rows of the numbers less ``slope.T @ parameter scores``, for a
         slope of shape (d, F). Without it the rows say nothing of the spread.
+    exposed : ndarray, shape (F,), optional
+        In how many rows each number is not zero; a place counts only where the robot is there.
     """
 
     blocks: Float
     parameters: Float
     squares: Callable[[Float], Float] | None = None
+    exposed: Float | None = None
 
 
 def sums_of_rows(numbers: Float, parameters: Float) -> BlockSums:
@@ -234,7 +241,8 @@ def sums_of_rows(numbers: Float, parameters: Float) -> BlockSums:
     def squares(slope: Float) -> Float:
         return np.asarray(((numbers - slope.T @ parameters) ** 2).sum(axis=1))
 
-    return BlockSums(block_sums(numbers), block_sums(parameters), squares)
+    exposed = np.count_nonzero(numbers, axis=1).astype(float)
+    return BlockSums(block_sums(numbers), block_sums(parameters), squares, exposed)
 
 
 def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
@@ -277,28 +285,35 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
     variance = np.concatenate([(squares / freedom * (1.0 + leverage[0]))[None], others * left]) + floor
     if all(log.squares is not None for log in logs):
         own = np.array([log.squares(slope) for log in logs if log.squares is not None])
-        expected = np.concatenate([own[1:].mean(axis=0)[None], (own[1:].sum(axis=0) - own[1:]) / (n - 1)])
-        variance *= np.maximum(1.0, (2.0 + (own + floor) / (expected + floor)) / 3.0)
+        exposed = np.array([log.exposed for log in logs])
+        # Sums over the simulated logs other than the judged one: all N for the log itself.
+        counted = np.array([n, *[n - 1] * n])[:, None]
+        of_others = own[1:].sum(axis=0) - np.vstack([np.zeros_like(own[:1]), own[1:]])
+        rows_of_others = exposed[1:].sum(axis=0) - np.vstack([np.zeros_like(exposed[:1]), exposed[1:]])
+        # A robot may stay at a place that the simulated ones hardly visit: its number has more rows than theirs.
+        usual = of_others / counted
+        expected = np.maximum(usual, of_others * exposed / np.maximum(rows_of_others, 1.0))
+        variance *= np.maximum(1.0, (2.0 * expected + own + floor) / (3.0 * usual + floor))
     if logs[0].blocks.shape[1] > 1:
-        constant = values - residual - parameters @ slope
-        residual = np.array(
-            [
-                _without_largest_block(log.blocks - slope.T @ log.parameters - share[:, None] / log.blocks.shape[1])
-                for log, share in zip(logs, constant, strict=True)
-            ]
-        )
+        constant = values[0] - residual[0] - parameters[0] @ slope
+        blocks = logs[0].blocks - slope.T @ logs[0].parameters - constant[:, None] / logs[0].blocks.shape[1]
+        residual[0] = _with_bounded_block(blocks)
     t = residual / np.sqrt(variance)
     z = np.concatenate([_as_normal(t[:1], freedom), _as_normal(t[1:], freedom - 1)])
     # A small value of a one-sided number is not unusual. This wastes half of the two-sided probability.
     return np.where(one_sided, np.maximum(z, 0.0), z)
 
 
-def _without_largest_block(blocks: Float) -> Float:
-    """Return sums over blocks (F, B) without the one that has the largest share; zero where nothing is left."""
+def _with_bounded_block(blocks: Float) -> Float:
+    """Return sums over blocks (F, B) in which the largest block counts at most half of what the others add up to.
+
+    The result is zero where the others say nothing, or the opposite.
+    """
     total = blocks.sum(axis=1)
-    above = np.maximum(total - np.maximum(blocks.max(axis=1), 0.0), 0.0)
-    below = np.minimum(total - np.minimum(blocks.min(axis=1), 0.0), 0.0)
-    return np.asarray(np.where(total > 0.0, above, below))
+    sign = np.where(total > 0.0, 1.0, -1.0)
+    largest = np.maximum((sign[:, None] * blocks).max(axis=1), 0.0)
+    others = np.maximum(sign * total - largest, 0.0)
+    return np.asarray(sign * (others + np.minimum(largest, _OF_THE_OTHERS * others)))
 
 
 def family_critical_z(z: Float) -> float:

@@ -36,6 +36,9 @@ _GLANCE_LOSS = 2.0
 _MOST_CONTENDERS = 5
 # A standardised score below this never counts as a test by itself.
 _LEAST_CRITICAL_Z = 3.0
+# An effect that lies closer to none than this is not accepted [standard deviations of its draws]. The usual bound for
+# one parameter; what the fit cannot tell from none explains nothing, whatever accident it gains by.
+_LEAST_FROM_NULL = 2.0
 # Significance level of the sign test over blocks of rows that replaces scores when the filter is lost.
 _SIGN_TEST_LEVEL = 0.01
 # A near twin that gains this share of the winner's gain is named with it.
@@ -224,7 +227,8 @@ def worth_it(best: Trial, critical_z: float) -> bool:
     z = 4 on the held-out part alone; one is enough if the whole log leaves no doubt, see :attr:`Trial.confirmed`. An
     effect whose own score exceeds its critical value has passed a test with a known error rate already. Any gain on the
     held-out part confirms it, if the gain on the whole log exceeds its standard error. No gain may come from a single
-    block of rows, see :attr:`Trial.in_several_blocks`.
+    block of rows, see :attr:`Trial.in_several_blocks`. An effect that the fit cannot tell from none is none, see
+    :attr:`Trial.from_null`.
 
     Parameters
     ----------
@@ -233,6 +237,8 @@ def worth_it(best: Trial, critical_z: float) -> bool:
     critical_z : float
         Critical value of the candidates' scores.
     """
+    if best.from_null < _LEAST_FROM_NULL:
+        return False
     if abs(best.z) > max(critical_z, _LEAST_CRITICAL_Z):
         return best.in_several_blocks and best.on_all.total > max(PRACTICAL, best.on_all.se)
     return best.confirmed

@@ -222,12 +222,13 @@ class Search:
         critical_z = last.judgement.critical_z
         current, trials = refits.with_more_particles(current, refits.refit_leaders(current, trials), critical_z)
         best, _ = choose(trials)
-        if best is not None and worth_it(best, critical_z):
+        late = thorough and self.comes_late(last)
+        # What the fit part does not show is sought on a longer one first, if the log says that it begins late.
+        if best is not None and worth_it(best, critical_z) and (best.on_fit.significant or not late):
             if thorough and _explains_too_little(best, last.judgement):
                 return self._search_further(last, current, trials)
             return self._beside_formulas(last, current, trials, self._formula_trials(last, current, best))
-        # An effect that begins too late for the fit part is sought on a longer one, not among all other candidates.
-        if not thorough or last.judgement.p_value > WORTH_A_FORMULA or self.comes_late(last):
+        if not thorough or last.judgement.p_value > WORTH_A_FORMULA or late:
             return Outcome(None, None, trials)
         return self._search_further(last, current, trials)
 

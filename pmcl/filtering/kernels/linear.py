@@ -16,6 +16,10 @@ from pmcl.filtering.kernels.forward import work_rows
 
 __all__ = ["Factors", "carry", "factorise", "refresh_blocks", "transport_trial"]
 
+# A path that a nearly singular factorisation carries further than this [m or rad] is impossible. Squares of its states
+# would overflow, so that its density is no number.
+_FARTHEST = 1e100
+
 
 @kernel
 def _standardise(motion, t, inner, path, reference, factors, z, size):
@@ -110,6 +114,9 @@ def transport_trial(tables, linear_readings, reference, path, factor, gain, cent
     carry(tables.motion, path, reference, old_factors, new_factors, carried, work[:size], size)
     for t in range(n_steps):
         for d in range(size):
+            # Negated, so that a carried state that is not a number counts as too far, too.
+            if not abs(carried[t, d]) < _FARTHEST:
+                return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
             columns[d, t] = carried[t, d]
     log_joint = joint_logpdf(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
     return log_joint, log_determinant, new_factor, new_gain, new_centre, carried
