@@ -110,7 +110,7 @@ def test_a_place_that_simulated_robots_hardly_visit_raises_no_alarm_by_itself(rn
         sums = [sums_of_rows(log.scores, log.parameter_scores) for log in logs]
         z.append(deviations(sums, np.zeros(2, dtype=bool))[0])
         # What simulated logs would say of it: a spread of a fifth of one row's.
-        by_others.append(deviations([one._replace(squares=None) for one in sums], np.zeros(2, dtype=bool))[0])
+        by_others.append(deviations([one._replace(spread=None) for one in sums], np.zeros(2, dtype=bool))[0])
     z, by_others = np.array(z), np.array(by_others)
     assert 0.3 < z[:, 0].std() < 1.1
     assert np.abs(z[:, 0]).max() < 4.0
@@ -134,7 +134,7 @@ def test_rare_rows_that_simulated_logs_do_not_have_raise_no_alarm(rng):
         few = logs[:1] + logs[8:]
         z = deviations(few, np.zeros(1, dtype=bool))
         bounded.append(z[0, 0])
-        by_others.append(deviations([one._replace(squares=None) for one in few], np.zeros(1, dtype=bool))[0, 0])
+        by_others.append(deviations([one._replace(spread=None) for one in few], np.zeros(1, dtype=bool))[0, 0])
         alone = [BlockSums(one.blocks.sum(axis=1, keepdims=True), np.empty((0, 1))) for one in few]
         whole.append(deviations(alone, np.zeros(1, dtype=bool))[0, 0])
     assert np.max(np.abs(bounded)) < 3.0

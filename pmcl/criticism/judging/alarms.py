@@ -16,7 +16,7 @@ from pmcl.criticism.scoring.scores import Direction
 from pmcl.errors import CriticismError
 from pmcl.filtering.paired_scores import block_sums
 
-__all__ = ["Alarm", "BlockSums", "Judgement", "deviations", "family_critical_z", "judge", "sums_of_rows"]
+__all__ = ["Alarm", "BlockSums", "Judgement", "OwnSpread", "deviations", "family_critical_z", "judge", "sums_of_rows"]
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -213,6 +213,22 @@ def judge(
     return Judgement(alarms, score_z[0], _p_values(score_z[0], one_sided), critical, features, number_z[0])
 
 
+class OwnSpread(NamedTuple):
+    """What the rows of one log say of the spread of its numbers.
+
+    Attributes
+    ----------
+    squares : callable
+        ``squares(slope) -> (F,)``: sums of the squared rows of the numbers less ``slope.T @ parameter scores``, for a
+        slope of shape (d, F).
+    exposed : ndarray, shape (F,)
+        In how many rows each number is not zero; a place counts only where the robot is there.
+    """
+
+    squares: Callable[[Float], Float]
+    exposed: Float
+
+
 class BlockSums(NamedTuple):
     """Numbers of one log as sums over blocks of rows.
 
@@ -222,27 +238,23 @@ class BlockSums(NamedTuple):
         The numbers; a single block says that they are no sums.
     parameters : ndarray, shape (d, B)
         Scores of the model's own parameters.
-    squares : callable, optional
-        ``squares(slope) -> (F,)``: sums of the squared rows of the numbers less ``slope.T @ parameter scores``, for a
-        slope of shape (d, F). Without it the rows say nothing of the spread.
-    exposed : ndarray, shape (F,), optional
-        In how many rows each number is not zero; a place counts only where the robot is there.
+    spread : OwnSpread, optional
+        Without it the rows say nothing of the spread.
     """
 
     blocks: Float
     parameters: Float
-    squares: Callable[[Float], Float] | None = None
-    exposed: Float | None = None
+    spread: OwnSpread | None = None
 
 
 def sums_of_rows(numbers: Float, parameters: Float) -> BlockSums:
-    """Return the block sums of numbers (F, T) and of the parameters' scores (d, T) of one log, with their squares."""
+    """Return the block sums of numbers (F, T) and of the parameters' scores (d, T) of one log, with their spread."""
 
     def squares(slope: Float) -> Float:
         return np.asarray(((numbers - slope.T @ parameters) ** 2).sum(axis=1))
 
     exposed = np.count_nonzero(numbers, axis=1).astype(float)
-    return BlockSums(block_sums(numbers), block_sums(parameters), squares, exposed)
+    return BlockSums(block_sums(numbers), block_sums(parameters), OwnSpread(squares, exposed))
 
 
 def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
@@ -283,17 +295,9 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
     left = np.maximum(1.0 - leverage[1:, None], 1e-6)
     others = np.maximum(squares - residual[1:] ** 2 / left, 0.0) / (freedom - 1)
     variance = np.concatenate([(squares / freedom * (1.0 + leverage[0]))[None], others * left]) + floor
-    if all(log.squares is not None for log in logs):
-        own = np.array([log.squares(slope) for log in logs if log.squares is not None])
-        exposed = np.array([log.exposed for log in logs])
-        # Sums over the simulated logs other than the judged one: all N for the log itself.
-        counted = np.array([n, *[n - 1] * n])[:, None]
-        of_others = own[1:].sum(axis=0) - np.vstack([np.zeros_like(own[:1]), own[1:]])
-        rows_of_others = exposed[1:].sum(axis=0) - np.vstack([np.zeros_like(exposed[:1]), exposed[1:]])
-        # A robot may stay at a place that the simulated ones hardly visit: its number has more rows than theirs.
-        usual = of_others / counted
-        expected = np.maximum(usual, of_others * exposed / np.maximum(rows_of_others, 1.0))
-        variance *= np.maximum(1.0, (2.0 * expected + own + floor) / (3.0 * usual + floor))
+    spreads = [log.spread for log in logs if log.spread is not None]
+    if len(spreads) == len(logs):
+        variance *= _larger_spread(spreads, slope, floor)
     if logs[0].blocks.shape[1] > 1:
         constant = values[0] - residual[0] - parameters[0] @ slope
         blocks = logs[0].blocks - slope.T @ logs[0].parameters - constant[:, None] / logs[0].blocks.shape[1]
@@ -302,6 +306,25 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
     z = np.concatenate([_as_normal(t[:1], freedom), _as_normal(t[1:], freedom - 1)])
     # A small value of a one-sided number is not unusual. This wastes half of the two-sided probability.
     return np.where(one_sided, np.maximum(z, 0.0), z)
+
+
+def _larger_spread(spreads: Sequence[OwnSpread], slope: Float, floor: Float) -> Float:
+    """Return by what factor the variance of each number grows for its own rows, (1 + N, F): at least one.
+
+    See the notes of :func:`judge`. The expected squares of a log are those of the rows of the other simulated logs, for
+    as many rows as count in this one: a robot may stay at a place that the simulated ones hardly visit.
+    """
+    own = np.array([spread.squares(slope) for spread in spreads])
+    rows = np.array([spread.exposed for spread in spreads])
+    n = len(spreads) - 1
+
+    def of_other_simulated_logs(numbers: Float) -> Float:
+        return np.asarray(numbers[1:].sum(axis=0) - np.vstack([np.zeros_like(numbers[:1]), numbers[1:]]))
+
+    others = of_other_simulated_logs(own)
+    usual = others / np.array([n, *[n - 1] * n])[:, None]
+    expected = np.maximum(usual, others * rows / np.maximum(of_other_simulated_logs(rows), 1.0))
+    return np.asarray(np.maximum(1.0, (2.0 * expected + own + floor) / (3.0 * usual + floor)))
 
 
 def _with_bounded_block(blocks: Float) -> Float:

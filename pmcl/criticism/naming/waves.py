@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from pmcl.criticism.judging.alarms import BlockSums, deviations, family_critical_z
+from pmcl.criticism.judging.alarms import BlockSums, OwnSpread, deviations, family_critical_z
 from pmcl.criticism.judging.judged_log import JudgedLog
 from pmcl.criticism.naming.formulas import SteadyChange, steady_changes, wave
 from pmcl.criticism.naming.shortlist import RankedEffect
@@ -142,7 +142,8 @@ def _sums_of_waves(scores: Float, parameters: Float, profiles: Float) -> BlockSu
         explained = np.einsum("df,fd->f", slope, mixed)
         return np.asarray(np.maximum(squares - 2.0 * explained + np.einsum("df,de,ef->f", slope, own, slope), 0.0))
 
-    return BlockSums(blocks, block_sums(parameters), squares_without)
+    exposed = np.repeat(np.count_nonzero(scores, axis=1), len(profiles)).astype(float)
+    return BlockSums(blocks, block_sums(parameters), OwnSpread(squares_without, exposed))
 
 
 def _best_wave(
