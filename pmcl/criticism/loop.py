@@ -30,6 +30,12 @@ from pmcl.criticism.fitting.trials import Trial, spare_effects
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.choice import twins_of
 from pmcl.criticism.naming.lost_robot import Recovery
+from pmcl.criticism.naming.probability import (
+    Explanations,
+    explanations,
+    nothing_without_refits,
+    with_probabilities,
+)
 from pmcl.criticism.naming.search import FIT_SHARE, LATE_FIT_SHARE, Outcome, Search
 from pmcl.criticism.settings import FINER, Settings
 from pmcl.errors import FilterError
@@ -77,6 +83,8 @@ class Loop:
         Accepted effects that the current model has.
     predictions : list of (Predictions, ndarray)
         Predictions of each step's model with their PITs, from which the gaps are computed at the end.
+    nothing_probability : float
+        Posterior probability that the base model lacks nothing; NaN where its filter loses the robot.
     """
 
     def __init__(self, model: RobotModel, search: Search) -> None:
@@ -85,6 +93,7 @@ class Loop:
         self.steps: list[Step] = []
         self.found: list[FoundEffect] = []
         self.predictions: list[tuple[Predictions, Float]] = []
+        self.nothing_probability = np.nan
 
     @property
     def settings(self) -> Settings:
@@ -116,6 +125,8 @@ class Loop:
         if recovery is not None:
             current = self._add_recovery(last, recovery)
             last = self._refit(last, current, rounds)
+        else:
+            self.nothing_probability = nothing_without_refits(first.judgement, self.search.directions)
         for number in range(int(recovery is not None), rounds + 1):
             if in_doubt(last.judgement) and (self.found or number == rounds):
                 last = self.search.judge_again(last)
@@ -123,6 +134,7 @@ class Loop:
             alarms = last.judgement.raised
             shown = self.search.effect_shown_by_data(last) if number < rounds else None
             if shown is not None:
+                self.nothing_probability = self.nothing_probability if self.found else 0.0
                 current = self._accept(last, shown, "add {}: the data show it")
                 last = self._refit(last, current, number)
                 continue
@@ -139,13 +151,16 @@ class Loop:
             if doubted and not outcome.certain:
                 first = last = self.search.judge_again(last)
                 if not last.judgement.raised:
+                    self._explanations(last, compared, outcome)
                     self._record(last, current, outcome.trials, "nothing unusual")
                     break
                 outcome, compared = self._search(last, current)
             current = compared
+            probable = self._explanations(last, current, outcome)
             if outcome.accepted is None or outcome.found is None:
                 self._record(last, current, outcome.trials, "nothing known explains it")
                 break
+            outcome = outcome._replace(found=with_probabilities(outcome.found, outcome.accepted, probable))
             current = self._accept(last, outcome, "add {}", before=current)
             last = self._refit(last, current, number)
         return self._result(first, last, draws, chains=joint and (bool(self.found) or always))
@@ -202,6 +217,17 @@ class Loop:
             formula = self.search.explain_by_formula(last, current)
             outcome = formula._replace(trials=outcome.trials + formula.trials)
         return _Searched(outcome, current)
+
+    def _explanations(self, last: JudgedFit, current: Trial, outcome: Outcome) -> Explanations:
+        """Return the probabilities of what may explain the alarms of a model; those of the base model are kept."""
+        search = self.search
+        probable = explanations(
+            current, outcome.trials, search.directions, search.n_formulas, last.judgement.p_value,
+            stream_seed(self.settings.seed, "noise of evidences"),
+        )  # fmt: skip
+        if not self.found:
+            self.nothing_probability = probable.nothing
+        return probable
 
     def _follow(self, fit: Fit, patient: bool = False) -> None:
         """Use as many particles as follow the robot from now on; raise FilterError if none do."""
@@ -349,4 +375,5 @@ class Loop:
             posterior=posterior,
             notes=tuple(self.notes),
             settings=settings,
+            nothing_probability=self.nothing_probability,
         )

@@ -108,9 +108,9 @@ def test_a_place_that_simulated_robots_hardly_visit_raises_no_alarm_by_itself(rn
     for _ in range(60):
         logs = [_of_a_patch(rng, 8), *(_of_a_patch(rng, int(k == 0)) for k in range(LOGS))]
         sums = [sums_of_rows(log.scores, log.parameter_scores) for log in logs]
-        z.append(deviations(sums, np.zeros(2, dtype=bool))[0])
+        z.append(deviations(sums, np.zeros(2, dtype=bool)).z[0])
         # What simulated logs would say of it: a spread of a fifth of one row's.
-        by_others.append(deviations([one._replace(spread=None) for one in sums], np.zeros(2, dtype=bool))[0])
+        by_others.append(deviations([one._replace(spread=None) for one in sums], np.zeros(2, dtype=bool)).z[0])
     z, by_others = np.array(z), np.array(by_others)
     assert 0.3 < z[:, 0].std() < 1.1
     assert np.abs(z[:, 0]).max() < 4.0
@@ -132,11 +132,11 @@ def test_rare_rows_that_simulated_logs_do_not_have_raise_no_alarm(rng):
         # The log with a rare row that is judged by logs most of which have none.
         logs.sort(key=lambda log: -np.abs(log.blocks).max())
         few = logs[:1] + logs[8:]
-        z = deviations(few, np.zeros(1, dtype=bool))
+        z = deviations(few, np.zeros(1, dtype=bool)).z
         bounded.append(z[0, 0])
-        by_others.append(deviations([one._replace(spread=None) for one in few], np.zeros(1, dtype=bool))[0, 0])
+        by_others.append(deviations([one._replace(spread=None) for one in few], np.zeros(1, dtype=bool)).z[0, 0])
         alone = [BlockSums(one.blocks.sum(axis=1, keepdims=True), np.empty((0, 1))) for one in few]
-        whole.append(deviations(alone, np.zeros(1, dtype=bool))[0, 0])
+        whole.append(deviations(alone, np.zeros(1, dtype=bool)).z[0, 0])
     assert np.max(np.abs(bounded)) < 3.0
     # Two such rows survive the bound on the largest block; the log's own spread is needed as well.
     assert np.mean(np.abs(whole) > 3.5) > 0.05
@@ -151,7 +151,7 @@ def test_no_single_block_makes_an_alarm(rng):
         scored[0, rows] += 12.0 / scored[0, rows].size
         logs = [scored, *(_rows(rng, 1) for _ in range(LOGS))]
         sums = [BlockSums(block_sums(log), np.empty((0, 8))) for log in logs]
-        z[name] = deviations(sums, np.zeros(1, dtype=bool))[0, 0]
+        z[name] = deviations(sums, np.zeros(1, dtype=bool)).z[0, 0]
     assert z["all"] > 6.0
     assert 3.0 < z["two blocks"] < z["all"]
     assert abs(z["one row"]) < 3.0
@@ -161,4 +161,4 @@ def test_numbers_that_are_no_sums_keep_all_they_have(rng):
     values = rng.standard_normal((1 + LOGS, 1))
     values[0] = 8.0
     sums = [BlockSums(value[:, None], np.empty((0, 1))) for value in values]
-    assert deviations(sums, np.zeros(1, dtype=bool))[0, 0] > 5.0
+    assert deviations(sums, np.zeros(1, dtype=bool)).z[0, 0] > 5.0

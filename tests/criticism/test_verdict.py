@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
 
-from pmcl.criticism.findings.parts import Estimate, FoundEffect, Unexplained
+from pmcl.criticism.findings.json_text import effect_entry
+from pmcl.criticism.findings.parts import Alternative, Estimate, FoundEffect, Unexplained
 from pmcl.criticism.findings.verdict import UNKNOWN, finding_of, sentence_of, with_place
 from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect
@@ -69,6 +71,29 @@ def test_a_finding_names_its_place_and_its_twins():
     assert text == (
         "beam 2 reads 0.0600 ± 0.0030 m too short (beam-bias; this log cannot tell it from beam-yaw (beam 2))"
     )
+
+
+def test_a_finding_says_how_probable_it_is():
+    log = sonar_log()
+    effect = BY_NAME["beam-bias"].at({"beams": (2,)}, log)
+    told = {p: finding_of(replace(found(effect, [-0.06]), probability=p), log) for p in (0.876, 0.9999, 0.004, np.nan)}
+    assert told[0.876].endswith("(beam-bias, probability 88 %)")
+    assert told[0.9999].endswith("(beam-bias, probability above 99 %)")
+    assert told[0.004].endswith("(beam-bias, probability below 1 %)")
+    assert told[np.nan].endswith("(beam-bias)")
+
+
+def test_the_json_file_holds_the_probabilities():
+    effect = replace(
+        found(BY_NAME["range-bias"], [0.05]), probability=0.7,
+        alternatives=(Alternative("beam-bias", {"beams": (2,)}, 0.2), Alternative("unknown effect", {}, 0.1)),
+    )  # fmt: skip
+    entry = effect_entry(effect)
+    assert entry["probability"] == 0.7
+    assert entry["alternatives"] == [
+        {"name": "beam-bias", "where": {"beams": [2]}, "probability": 0.2},
+        {"name": "unknown effect", "where": {}, "probability": 0.1},
+    ]
 
 
 def test_landmarks_are_called_by_their_names_in_the_log():

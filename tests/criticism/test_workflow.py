@@ -45,6 +45,10 @@ def test_hidden_effect_is_found_named_and_measured(text, found):
     assert abs(estimate.mean - value) < 5.0 * estimate.sd
     assert estimate.sd < 0.2 * value
     assert result.effects[0].p_value < 1e-3
+    assert result.nothing_probability < 1e-3
+    assert result.effects[0].probability > 0.5
+    rest = sum(other.probability for other in result.effects[0].alternatives)
+    assert 0.9 < result.effects[0].probability + rest <= 1.0 + 1e-9
 
 
 @pytest.mark.slow
@@ -67,6 +71,7 @@ def test_json_follows_the_format(found, tmp_path):
     assert effect["where"] == {"beams": [2]}
     assert set(effect["parameters"]["beam_bias"]) == {"mean", "sd", "unit"}
     assert {"p_value", "log_score_gain", "log_score_gain_se", "not_distinguishable_from"} <= set(effect)
+    assert 0.0 <= content["nothing_probability"] <= effect["probability"] <= 1.0
     assert content["steps"][0]["model"] == []
     assert content["steps"][0]["decision"] == "add beam-bias"
     assert content["steps"][-1]["model"][0] == "beam-bias"

@@ -43,6 +43,11 @@ def effect_entry(effect: FoundEffect) -> dict[str, Any]:
         "summary": effect.summary,
         "advice": list(effect.advice),
         "chosen_on_all_rows": effect.chosen_on_all_rows,
+        "probability": effect.probability,
+        "alternatives": [
+            {"name": other.name, "where": _where(other.where), "probability": other.probability}
+            for other in effect.alternatives
+        ],
     }
 
 

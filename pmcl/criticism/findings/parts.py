@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from pmcl.criticism.fitting.held_out import Gap
 from pmcl.criticism.judging.alarms import Alarm
 
-__all__ = ["Candidate", "Estimate", "FoundEffect", "Step", "Unexplained"]
+__all__ = ["Alternative", "Candidate", "Estimate", "FoundEffect", "Step", "Unexplained"]
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,24 @@ class Estimate:
         return f"{mean:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()
 
 
+class Alternative(NamedTuple):
+    """What else may explain the log.
+
+    Attributes
+    ----------
+    name : str
+        An effect; "unknown effect" for what no catalogue has, and "nothing".
+    where : mapping
+        Its place, as in :class:`FoundEffect`.
+    probability : float
+        Its posterior probability.
+    """
+
+    name: str
+    where: Mapping[str, Any]
+    probability: float
+
+
 @dataclass(frozen=True)
 class FoundEffect:
     """An effect that was accepted.
@@ -70,6 +88,11 @@ class FoundEffect:
     chosen_on_all_rows : bool
         Whether it was tried for its score on all rows, when that on the fit part alone was not remarkable. Its gain on
         held-out data is then that of rows which helped to choose it, and too large on average.
+    probability : float
+        Posterior probability of this name when it was added, see :mod:`pmcl.criticism.naming.probability`; NaN where it
+        was not computed, because the data show the effect without a fit, or the filter followed with it only.
+    alternatives : tuple of Alternative
+        What has the rest of the probability, the most probable first.
     """
 
     name: str
@@ -83,6 +106,8 @@ class FoundEffect:
     advice: tuple[str, ...] = ()
     finding: str = ""
     chosen_on_all_rows: bool = False
+    probability: float = math.nan
+    alternatives: tuple[Alternative, ...] = ()
 
 
 @dataclass(frozen=True)

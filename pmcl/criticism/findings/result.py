@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -83,6 +84,9 @@ class Criticism:
         Limits of the result.
     settings : mapping
         Settings that reproduce the run.
+    nothing_probability : float
+        Posterior probability that the base model lacks nothing, see :mod:`pmcl.criticism.naming.probability`; NaN where
+        its filter loses the robot.
     """
 
     verdict: str
@@ -101,12 +105,14 @@ class Criticism:
     posterior: Any = None
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    nothing_probability: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         return {
             "format": FORMAT,
             "verdict": self.verdict,
+            "nothing_probability": self.nothing_probability,
             "sentence": self.sentence,
             "effects": [effect_entry(effect) for effect in self.effects],
             "unexplained": [unexplained_entry(disagreement) for disagreement in self.unexplained],

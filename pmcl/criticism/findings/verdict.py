@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
-from pmcl.criticism.findings.parts import Estimate, FoundEffect, Step, Unexplained
+from pmcl.criticism.findings.parts import Alternative, Estimate, FoundEffect, Step, Unexplained
 from pmcl.criticism.judging.alarms import Judgement
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
-    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "channels_of", "finding_of", "sentence_of", "verdict_of",
-    "with_place",
+    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "as_percentage", "channels_of", "finding_of", "sentence_of",
+    "verdict_of", "with_place",
 ]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
@@ -29,7 +30,7 @@ _CHANGED = 2.0
 _MOST_LISTED = 8
 
 
-def with_place(effect: Effect | FoundEffect) -> str:
+def with_place(effect: Effect | FoundEffect | Alternative) -> str:
     """Return an effect's name with its place, e.g. "beam-bias (beam 2)"."""
     place = ", ".join(
         f"{key.removesuffix('s') if len(values) == 1 else key} {', '.join(f'{v:g}' for v in values)}"
@@ -151,11 +152,23 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
     """
     twins = effect.not_distinguishable_from
     alike = f"; this log cannot tell it from {' or '.join(twins)}" if twins else ""
+    probability = as_percentage(effect.probability)
+    if probability:
+        alike = f", probability {probability}{alike}"
     if not effect.finding:
         numbers = ", ".join(f"{name} = {estimate:+}" for name, estimate in effect.parameters.items())
         return f"{with_place(effect)}: {effect.summary.rstrip('.')} ({numbers}{alike})"
     places = {kind: _as_text(values, kind, log) for kind, values in effect.where.items()}
     return f"{effect.finding.format(*effect.parameters.values(), **places)} ({effect.name}{alike})"
+
+
+def as_percentage(probability: float) -> str:
+    """Return a probability in per cent; nothing is called certain or impossible, and NaN gives an empty text."""
+    if math.isnan(probability):
+        return ""
+    if probability > 0.99:
+        return "above 99 %"
+    return "below 1 %" if probability < 0.01 else f"{100.0 * probability:.0f} %"
 
 
 def _greatest_change(before: Mapping[str, Estimate], after: Mapping[str, Estimate]) -> str:

@@ -12,7 +12,7 @@ from pmcl.filtering.one_step_ahead import Predictions, pooled_increments
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.models.robot_model import BoundModel
 
-__all__ = ["Gap", "gap_of", "row_scores"]
+__all__ = ["Gap", "RowScores", "gap_of", "row_scores"]
 
 Float = NDArray[np.float64]
 
@@ -35,7 +35,23 @@ class Gap(NamedTuple):
     coverage_90: float
 
 
-def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> Float:
+class RowScores(NamedTuple):
+    """Log predictive densities of the rows of a log.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (T,)
+        Log scores [nat].
+    noise : float
+        Standard deviation that their sum has because particles are random [nat]; NaN from a single pass, which cannot
+        tell.
+    """
+
+    rows: Float
+    noise: float
+
+
+def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> RowScores:
     """Return the log predictive density of the readings of each row, mixed from independent filter passes.
 
     The filter runs over the whole log and predicts each row from all rows before it. The caller decides which rows are
@@ -58,8 +74,8 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
 
     Returns
     -------
-    ndarray, shape (T,)
-        Log scores [nat].
+    RowScores
+        The noise is that of rows which are independent of each other, from the differences of the passes.
 
     Raises
     ------
@@ -74,7 +90,10 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
             run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
             for k in range(passes)
         ]
-    return pooled_increments(increments)
+    noise = float("nan")
+    if passes > 1:
+        noise = float(np.sqrt(np.var(increments, axis=0, ddof=1).sum() / passes))
+    return RowScores(pooled_increments(increments), noise)
 
 
 def gap_of(predictions: Predictions, pit: Float, rows: slice) -> Gap:

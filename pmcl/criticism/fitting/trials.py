@@ -64,6 +64,8 @@ class Trial:
         What the prior of the effect's parameters loses, see :func:`occam_factor` [nat].
     from_null : float
         Distance of the effect's strengths from no effect, see :func:`from_null` [standard deviations].
+    noise : float
+        Standard deviation of the sum of its row scores, because particles are random [nat]; NaN after a glance.
     """
 
     effect: Effect | None
@@ -78,6 +80,7 @@ class Trial:
     thorough: bool = False
     occam: float = 0.0
     from_null: float = np.inf
+    noise: float = 0.0
 
     @property
     def p_value(self) -> float:
@@ -98,7 +101,7 @@ class Trial:
         that they cannot tell costs nothing. Held-out rows count as far as the fit part's own gain: an effect that acts
         later only was fitted to nothing.
         """
-        return self.on_fit.total + min(self.on_heldout.total, self.on_fit.total) - self.occam
+        return self.on_fit.total + min(self.on_heldout.total, max(self.on_fit.total, 0.0)) - self.occam
 
     @property
     def absorber(self) -> bool:
@@ -188,10 +191,11 @@ def try_effect(
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
-    gains = _gains(scores, current.row_scores, split)
-    occam = occam_factor(fitted, int(free.sum()))
-    distance = from_null(fitted, effect, free)
-    return Trial(effect, model, fitted, scores, z, *gains, particles, effort == THOROUGH, occam, distance)
+    gains = _gains(scores.rows, current.row_scores, split)
+    return Trial(
+        effect, model, fitted, scores.rows, z, *gains, particles, effort == THOROUGH,
+        occam=occam_factor(fitted, int(free.sum())), from_null=from_null(fitted, effect, free), noise=scores.noise,
+    )  # fmt: skip
 
 
 def occam_factor(fit: Fit, count: int) -> float:
@@ -311,8 +315,9 @@ def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed
         As for :func:`try_effect`.
     """
     scores = row_scores(trial.model.bind(log), trial.fit.theta, particles=particles, seed=seed)
-    gains = _gains(scores, scores if trial is current else current.row_scores, split)
-    return replace(trial, row_scores=scores, particles=particles, **gains._asdict())
+    rows = scores.rows
+    gains = _gains(rows, rows if trial is current else current.row_scores, split)
+    return replace(trial, row_scores=rows, noise=scores.noise, particles=particles, **gains._asdict())
 
 
 def _gains(new: Float, old: Float, split: int) -> _Gains:
@@ -349,7 +354,9 @@ def trial_of_base(
     fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split], draws=draws)
     scores = row_scores(bound, fitted.theta, particles=particles, seed=seed)
     no_gain = Gain(0.0, 0.0)
-    return Trial(None, model, fitted, scores, 0.0, no_gain, no_gain, no_gain, particles)
+    return Trial(
+        None, model, fitted, scores.rows, 0.0, no_gain, no_gain, no_gain, particles, noise=scores.noise
+    )
 
 
 def _start_values(effect: Effect, z: float) -> Float:

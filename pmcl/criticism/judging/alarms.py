@@ -16,7 +16,10 @@ from pmcl.criticism.scoring.scores import Direction
 from pmcl.errors import CriticismError
 from pmcl.filtering.paired_scores import block_sums
 
-__all__ = ["Alarm", "BlockSums", "Judgement", "OwnSpread", "deviations", "family_critical_z", "judge", "sums_of_rows"]
+__all__ = [
+    "Alarm", "BlockSums", "Deviations", "Judgement", "OwnSpread", "deviations", "family_critical_z", "judge",
+    "sums_of_rows",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -64,6 +67,9 @@ class Judgement:
         Deviation of each candidate's score as a standard normal, after the model's parameters are projected out.
     p_values : ndarray, shape (K,)
         P-value of each candidate, not corrected for their number.
+    score, score_std : ndarray, shape (K,)
+        Each candidate's score, after the model's parameters are projected out and its largest block is bounded, and its
+        standard deviation when the model is right [nat].
     critical_z : float
         Bound that the greatest |z| of all candidates exceeds in 5 % of logs without a missing effect.
     features : tuple of Feature
@@ -75,6 +81,8 @@ class Judgement:
     alarms: tuple[Alarm, ...]
     z: Float
     p_values: Float
+    score: Float
+    score_std: Float
     critical_z: float
     features: tuple[Feature, ...]
     feature_z: Float
@@ -167,9 +175,10 @@ def judge(
     logs = (scored, *simulated)
     one_sided = np.array([direction.one_sided for direction in directions], dtype=bool)
     # Scores of the fitted parameters vanish in the log but for Monte Carlo error; those of the simulated logs do not.
-    score_z = deviations(
+    of_scores = deviations(
         [sums_of_rows(log.scores[:, :rows], log.parameter_scores[:, :rows]) for log in logs], one_sided
     )
+    score_z = of_scores.z
     features = scored.features
     feature_sides = np.array([feature.one_sided for feature in features], dtype=bool)
     n_residuals = scored.residual_blocks.shape[0]
@@ -179,14 +188,14 @@ def judge(
             deviations(
                 [BlockSums(log.residual_blocks, own) for log, own in zip(logs, parameters, strict=True)],
                 feature_sides[:n_residuals],
-            ),
+            ).z,
             deviations(
                 [
                     BlockSums(log.fluctuations[:, None], own.sum(axis=1, keepdims=True))
                     for log, own in zip(logs, parameters, strict=True)
                 ],
                 feature_sides[n_residuals:],
-            ),
+            ).z,
         ]
     )
     tests: list[tuple[str, _FamilyTest, Feature, float]] = []
@@ -210,7 +219,10 @@ def judge(
         Alarm(family, test.p_value, bool(is_raised), feature, z)
         for (family, test, feature, z), is_raised in zip(tests, raised, strict=True)
     )
-    return Judgement(alarms, score_z[0], _p_values(score_z[0], one_sided), critical, features, number_z[0])
+    p_values = _p_values(score_z[0], one_sided)
+    return Judgement(
+        alarms, score_z[0], p_values, of_scores.value, of_scores.std, critical, features, number_z[0]
+    )
 
 
 class OwnSpread(NamedTuple):
@@ -257,8 +269,25 @@ def sums_of_rows(numbers: Float, parameters: Float) -> BlockSums:
     return BlockSums(block_sums(numbers), block_sums(parameters), OwnSpread(squares, exposed))
 
 
-def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
-    """Return deviations as standard normals: of the log first, then of each simulated log.
+class Deviations(NamedTuple):
+    """How unusual numbers are.
+
+    Attributes
+    ----------
+    z : ndarray, shape (1 + N, F)
+        Deviations as standard normals, of the log first, then of each simulated log.
+    value, std : ndarray, shape (F,)
+        The log's numbers, from which `z` follows, and their standard deviation when the model is right. Of one-sided
+        numbers the mean is not subtracted: a rise that never happens has a score without spread, and far below zero.
+    """
+
+    z: Float
+    value: Float
+    std: Float
+
+
+def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Deviations:
+    """Return how unusual the numbers of a log are, and those of each simulated log.
 
     Parameters
     ----------
@@ -269,7 +298,7 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
 
     Returns
     -------
-    ndarray, shape (1 + N, F)
+    Deviations
         See the notes of :func:`judge`.
 
     Raises
@@ -298,14 +327,16 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Float:
     spreads = [log.spread for log in logs if log.spread is not None]
     if len(spreads) == len(logs):
         variance *= _larger_spread(spreads, slope, floor)
+    constant = values[0] - residual[0] - parameters[0] @ slope
     if logs[0].blocks.shape[1] > 1:
-        constant = values[0] - residual[0] - parameters[0] @ slope
         blocks = logs[0].blocks - slope.T @ logs[0].parameters - constant[:, None] / logs[0].blocks.shape[1]
         residual[0] = _with_bounded_block(blocks)
     t = residual / np.sqrt(variance)
     z = np.concatenate([_as_normal(t[:1], freedom), _as_normal(t[1:], freedom - 1)])
     # A small value of a one-sided number is not unusual. This wastes half of the two-sided probability.
-    return np.where(one_sided, np.maximum(z, 0.0), z)
+    z = np.where(one_sided, np.maximum(z, 0.0), z)
+    value = residual[0] + np.where(one_sided, constant, 0.0)
+    return Deviations(z, value, np.sqrt(variance[0]))
 
 
 def _larger_spread(spreads: Sequence[OwnSpread], slope: Float, floor: Float) -> Float:

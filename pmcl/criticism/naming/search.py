@@ -89,6 +89,8 @@ class Search:
         Directions of the candidates that the last judged model lacks.
     judged : JudgedLog
         The log judged under that model.
+    n_formulas : int
+        Formulas that the last search compared.
     """
 
     def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
@@ -103,6 +105,7 @@ class Search:
             )
         self.directions: tuple[Direction, ...] = ()
         self.judged: JudgedLog
+        self.n_formulas = 0
         # Candidates of the last search that were tried for their scores on all rows only.
         self._only_by_all_rows: list[Effect] = []
 
@@ -245,7 +248,9 @@ class Search:
         return self._best_formula(self._formula_trials(last, current))
 
     def _formula_trials(self, last: JudgedFit, current: Trial, best: Trial | None = None) -> FormulaTrials:
-        return refit_formulas(last, self.judged, self.directions, current, self.refits, best)
+        found = refit_formulas(last, self.judged, self.directions, current, self.refits, best)
+        self.n_formulas = len(found.directions)
+        return found
 
     def _search_further(self, last: JudgedFit, current: Trial, trials: list[Trial]) -> Outcome:
         """Look among formulas and all effects of the whole robot, whatever their scores.

@@ -94,7 +94,7 @@ def remarkable_waves(
             for scored_log, scores in zip(logs, steady_scores, strict=True)
         ],
         np.zeros(len(changes) * len(profiles), dtype=bool),
-    )
+    ).z
     critical_z = family_critical_z(deviation)
     z = np.abs(deviation[0]).reshape(len(changes), frequencies.size, _PHASES)
     best = []

@@ -1,0 +1,215 @@
+"""How probable each explanation of a log is: nothing, an effect that was tried, or something that nobody has named.
+
+The posterior probability of an explanation is its prior probability times its evidence, over the sum of these. The
+evidence of an effect is :attr:`pmcl.criticism.fitting.trials.Trial.evidence`. It comes from particles, so that it is a
+random number itself; the probabilities told are means over this noise, and two effects whose evidences differ by less
+than their noise share the probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from pmcl.criticism.findings.parts import Alternative, FoundEffect
+from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.judging.alarms import Judgement
+from pmcl.criticism.scoring.scores import Direction, instance_key
+from pmcl.filtering.particle_filter import make_rng
+from pmcl.models.effects.effect import Effect
+from pmcl.models.effects.formula import PREFIX
+
+__all__ = ["NOTHING_PRIOR", "Explanations", "explanations", "nothing_without_refits", "with_probabilities"]
+
+Float = NDArray[np.float64]
+
+NOTHING_PRIOR = 0.5
+"""Prior probability that the model lacks nothing. The other half is shared alike by the families of effects that the
+log can show, by formulas, and by what no catalogue has; each family shares its part alike among its places."""
+# A fit at a glance misjudges a log score by so much more than its particles [nat]; see pmcl.criticism.fitting.
+_GLANCE_NOISE = 4.0
+# Draws of the noise over which probabilities are averaged; their own error is then below a per cent.
+_NOISE_DRAWS = 4000
+# Explanations below this probability are not listed.
+_LEAST_LISTED = 0.01
+_UNKNOWN = "unknown effect"
+
+
+class Explanations(NamedTuple):
+    """Posterior probabilities of the explanations of a log, over the current model; they sum to one.
+
+    Attributes
+    ----------
+    nothing : float
+        Probability that the model lacks nothing.
+    unknown : float
+        Probability that it lacks what is neither an effect that was tried nor a formula: an upper bound.
+    effects : tuple of Effect
+        The effects that were tried, the most probable first.
+    probabilities : tuple of float
+        Their probabilities.
+    """
+
+    nothing: float
+    unknown: float
+    effects: tuple[Effect, ...]
+    probabilities: tuple[float, ...]
+
+    def of(self, effect: Effect) -> float:
+        """Return the probability of an effect at its place; zero if it was not tried."""
+        key = instance_key(effect)
+        return next(
+            (p for other, p in zip(self.effects, self.probabilities, strict=True) if instance_key(other) == key), 0.0
+        )
+
+    def beside(self, effect: Effect) -> tuple[Alternative, ...]:
+        """Return what else may explain the log, the most probable first; what has less than a per cent is left out."""
+        others = [
+            Alternative(other.name, other.where, p)
+            for other, p in zip(self.effects, self.probabilities, strict=True)
+            if instance_key(other) != instance_key(effect)
+        ]
+        others += [Alternative(_UNKNOWN, {}, self.unknown), Alternative("nothing", {}, self.nothing)]
+        listed = [one for one in others if one.probability >= _LEAST_LISTED]
+        return tuple(sorted(listed, key=lambda one: -one.probability))
+
+
+def explanations(
+    current: Trial, trials: Sequence[Trial], directions: Sequence[Direction], formulas: int, p_value: float, seed: int
+) -> Explanations:
+    """Return the posterior probabilities of nothing, of each effect that was refitted, and of something unknown.
+
+    Parameters
+    ----------
+    current : Trial
+        The current model.
+    trials : sequence of Trial
+        Refitted effects and formulas. Of one instance that occurs more than once, the one with more evidence counts.
+    directions : sequence of Direction
+        All candidates of the catalogue, from which families and places are counted.
+    formulas : int
+        Number of formulas that were compared.
+    p_value : float
+        P-value of the log's alarms under the current model.
+    seed : int
+        Determines the draws of the noise.
+
+    Notes
+    -----
+    The evidence of something unknown is not known. A p-value bounds it: whatever the alternative, a Bayes factor
+    against the null is at most -1 / (e p ln p) under mild conditions (Sellke, Bayarri and Berger 2001, Calibration of p
+    values for testing precise null hypotheses, The American Statistician 55). The bound is used.
+    """
+    best: dict[object, Trial] = {}
+    for trial in trials:
+        assert trial.effect is not None
+        key = instance_key(trial.effect)
+        if key not in best or trial.evidence > best[key].evidence:
+            best[key] = trial
+    ranked = list(best.values())
+    effects = [trial.effect for trial in ranked if trial.effect is not None]
+    prior = _priors(effects, directions, max(formulas, 1))
+    evidence = np.array([0.0, _evidence_bound(p_value), *(trial.evidence for trial in ranked)])
+    noise = np.array([current.noise, 0.0, *(_noise(trial, current) for trial in ranked)])
+    count = _NOISE_DRAWS if noise.any() else 1
+    draws = make_rng(seed).standard_normal((count, evidence.size)) * noise
+    # What the base model's own score is wrong by, all gains are; the bound of the unknown has nothing to do with it.
+    probability = special.softmax(np.log(prior) + evidence + draws, axis=1).mean(axis=0)
+    order = np.argsort(-probability[2:])
+    return Explanations(
+        float(probability[0]), float(probability[1]), tuple(effects[k] for k in order),
+        tuple(float(probability[2 + k]) for k in order),
+    )  # fmt: skip
+
+
+def with_probabilities(found: FoundEffect, accepted: Trial, probable: Explanations) -> FoundEffect:
+    """Return a found effect with its posterior probability, and with what has the rest of it.
+
+    Parameters
+    ----------
+    found : FoundEffect
+        The effect.
+    accepted : Trial
+        The trial with the effect.
+    probable : Explanations
+        Probabilities of all that was tried.
+    """
+    assert accepted.effect is not None
+    return replace(found, probability=probable.of(accepted.effect), alternatives=probable.beside(accepted.effect))
+
+
+def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]) -> float:
+    """Return the probability that a model lacks nothing, from the scores of all candidates alone.
+
+    Near no effect, the log evidence of a candidate of size s is ``u s - s^2 I / 2`` for its score u and information I.
+    Its mean over the prior of s has a closed form if that prior is a normal, cut at zero for one-sided candidates. This
+    is how evidence behaves for small effects; a large one would be refitted.
+
+    Parameters
+    ----------
+    judgement : Judgement
+        Tests of the log.
+    directions : sequence of Direction
+        The K candidates of these tests.
+    """
+    effects: dict[object, list[float]] = {}
+    kept: dict[object, Effect] = {}
+    for direction, score, std in zip(directions, judgement.score, judgement.score_std, strict=True):
+        key = instance_key(direction.effect)
+        effects.setdefault(key, []).append(_evidence_of_score(direction, float(score), float(std)))
+        kept[key] = direction.effect
+    prior = _priors(list(kept.values()), directions, 1)
+    # Of an effect with several strengths each is a model of its own, alike probable.
+    evidence = [special.logsumexp(values) - np.log(len(values)) for values in effects.values()]
+    terms = np.log(prior) + np.array([0.0, _evidence_bound(judgement.p_value), *evidence])
+    return float(special.softmax(terms)[0])
+
+
+def _priors(effects: Sequence[Effect], directions: Sequence[Direction], formulas: int) -> Float:
+    """Return prior probabilities of nothing, of something unknown, and of each effect."""
+    places: dict[str, set[object]] = {}
+    for direction in directions:
+        # An effect that moves to its place in a fit has the prior of its place there.
+        place = direction.effect.name if direction.effect.shape else instance_key(direction.effect)
+        places.setdefault(direction.effect.name, set()).add(place)
+    of_family = (1.0 - NOTHING_PRIOR) / (len(places) + 2)
+    shares = [
+        of_family / (formulas if effect.name.startswith(PREFIX) else len(places.get(effect.name, (0,))))
+        for effect in effects
+    ]
+    return np.array([NOTHING_PRIOR, of_family, *shares])
+
+
+def _evidence_bound(p_value: float) -> float:
+    """Return the greatest log Bayes factor that a p-value allows [nat]."""
+    p = max(p_value, 1e-300)
+    return float(-np.log(-np.e * p * np.log(p))) if p < 1.0 / np.e else 0.0
+
+
+def _noise(trial: Trial, current: Trial) -> float:
+    if np.isnan(trial.noise):
+        # A single pass has more noise than two by the root of two.
+        return float(np.hypot(np.sqrt(2.0) * np.nan_to_num(current.noise), _GLANCE_NOISE))
+    return trial.noise
+
+
+def _evidence_of_score(direction: Direction, score: float, std: float) -> float:
+    """Return the log evidence of a small effect over none, from its score and the score's standard deviation [nat]."""
+    effect, k = direction.effect, direction.strength
+    spread = float(effect.parameters[k].prior.std())
+    step = abs(float(direction.above[k]) - effect.null[k])
+    if not np.isfinite(spread) or step == 0.0:
+        return 0.0
+    # In steps of the score. Effects that enter through their square are scored along the square.
+    size = (spread / step) ** 2 if effect.squared else spread / step
+    root = np.hypot(1.0, std * size)
+    z = score * size / root
+    evidence = 0.5 * z * z - np.log(root)
+    if direction.one_sided:
+        evidence += np.log(2.0) + float(special.log_ndtr(z))
+    return float(evidence)

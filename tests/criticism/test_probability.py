@@ -1,0 +1,140 @@
+"""Posterior probabilities of explanations are Bayes' rule, and are right as often as they say."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.naming.probability import NOTHING_PRIOR, explanations, nothing_without_refits
+from pmcl.criticism.scoring.scores import directions_of
+from pmcl.filtering.paired_scores import Gain
+from pmcl.models.effects.effect import Effect
+from pmcl.models.parameters import Parameter
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+def effect(name, place=None, prior=None, squared=False):
+    """An effect that changes nothing; at place k if there is one."""
+    prior = stats.norm(scale=2.0) if prior is None else prior
+    return Effect(
+        name, ".", (Parameter("size", "1", prior),), (0.0,), lambda tables, *_: tables, squared=squared,
+        typical={"clear": (1.0,)}, where={} if place is None else {"beams": (place,)},
+    )  # fmt: skip
+
+
+def trial(of, evidence, noise=0.0):
+    """A trial with so much evidence."""
+    fit, none = Gain(evidence, 1.0), Gain(0.0, 1.0)
+    return Trial(of, None, None, None, 0.0, fit, none, fit, noise=noise)
+
+
+def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0):
+    """Probabilities beside candidates that were not tried."""
+    current = trial(None, 0.0, noise)
+    offered = [one.effect for one in trials if not one.effect.name.startswith("formula")]
+    return explanations(current, trials, directions_of([*offered, *others]), formulas, p_value, 1)
+
+
+def test_without_noise_it_is_bayes_rule():
+    """Families share half of the prior with formulas and with what nobody has named; places share their family's."""
+    scale, beam = effect("odometry-turn-scale"), effect("beam-bias", 2)
+    others = [effect("beam-bias", k) for k in (0, 1, 3)]
+    formula = effect("formula: range += c*time")
+    found = told([trial(scale, 3.0), trial(beam, 4.0), trial(formula, 1.0)], others, formulas=10)
+    share = (1.0 - NOTHING_PRIOR) / 4.0
+    of_tried = share * np.exp([3.0, 4.0, 1.0]) / [1.0, 4.0, 10.0]
+    weights = np.array([NOTHING_PRIOR, share, *of_tried])
+    expected = weights / weights.sum()
+    assert found.nothing == pytest.approx(expected[0])
+    assert found.unknown == pytest.approx(expected[1])
+    assert [found.of(one) for one in (scale, beam, formula)] == pytest.approx(expected[2:])
+    assert found.nothing + found.unknown + sum(found.probabilities) == pytest.approx(1.0)
+    assert [one.name for one in found.effects] == ["odometry-turn-scale", "beam-bias", "formula: range += c*time"]
+    assert found.of(others[0]) == 0.0
+    beside = found.beside(scale)
+    assert [one.name for one in beside] == ["beam-bias", "nothing", "unknown effect"]
+    assert beside[0].where == {"beams": (2,)}
+
+
+def test_an_instance_that_was_fitted_twice_counts_once():
+    scale = effect("odometry-turn-scale")
+    once, twice = told([trial(scale, 3.0)]), told([trial(scale, 1.0), trial(scale, 3.0)])
+    assert twice.probabilities == once.probabilities
+    assert twice.nothing == once.nothing
+
+
+def test_evidences_that_differ_by_less_than_their_noise_share_the_probability():
+    one, other = effect("odometry-turn-scale"), effect("odometry-arc")
+    sharp = told([trial(one, 104.0), trial(other, 100.0)])
+    assert sharp.of(one) == pytest.approx(1.0 / (1.0 + np.exp(-4.0)))
+    noisy = told([trial(one, 104.0, 3.0), trial(other, 100.0, 3.0)])
+    expected, _ = integrate.quad(
+        lambda lead: stats.norm.pdf(lead, 4.0, 3.0 * np.sqrt(2.0)) / (1.0 + np.exp(-lead)), -40.0, 40.0
+    )
+    # Four thousand draws.
+    assert noisy.of(one) == pytest.approx(expected, abs=0.02)
+    # A single pass cannot tell its noise: it has more than two passes.
+    glance = told([trial(one, 104.0, np.nan), trial(other, 100.0, np.nan)], noise=3.0)
+    assert 0.5 < glance.of(one) < noisy.of(one)
+
+
+@pytest.mark.parametrize("p_value", [0.5, 1e-3, 1e-20, 0.0])
+def test_something_unknown_is_bounded_by_the_p_value(p_value):
+    scale = effect("odometry-turn-scale")
+    found = told([trial(scale, 5.0)], p_value=p_value)
+    factor = found.unknown / found.of(scale) * np.exp(5.0)
+    if p_value == 0.0:
+        assert found.unknown > 0.999
+    else:
+        assert factor == pytest.approx(1.0 if p_value > 0.4 else -1.0 / (np.e * p_value * np.log(p_value)))
+
+
+@pytest.mark.parametrize(("prior", "squared"), [
+    (stats.norm(scale=0.8), False), (stats.halfnorm(scale=0.8), False), (stats.halfnorm(scale=0.8), True),
+])  # fmt: skip
+@pytest.mark.parametrize("score", [-3.0, 0.5, 6.0])
+def test_the_evidence_of_a_score_is_the_mean_over_the_prior(prior, squared, score):
+    """The probability of nothing beside one candidate, by quadrature."""
+    one = effect("odometry-turn-scale", prior=prior, squared=squared)
+    (direction,) = directions_of([one])
+    std, step = 1.7, float(direction.above[0])
+    spread = float(prior.std()) / step
+    sizes = stats.halfnorm(scale=spread**2 if squared else spread) if direction.one_sided else stats.norm(scale=spread)
+    factor, _ = integrate.quad(
+        lambda size: np.exp(score * size - 0.5 * (std * size) ** 2) * sizes.pdf(size), -60.0, 60.0, limit=400
+    )
+    judgement = SimpleNamespace(score=np.array([score]), score_std=np.array([std]), p_value=1.0)
+    share = (1.0 - NOTHING_PRIOR) / 3.0
+    expected = NOTHING_PRIOR / (NOTHING_PRIOR + share + share * factor)
+    assert nothing_without_refits(judgement, [direction]) == pytest.approx(expected, rel=1e-6)
+
+
+def test_names_that_are_told_with_a_probability_are_right_as_often(rng):
+    """Logs whose explanation is drawn from the prior, each candidate with one number that is exactly Gaussian."""
+    effects = [effect(f"effect-{k}") for k in range(6)]
+    spread, share, logs = 2.0, (1.0 - NOTHING_PRIOR) / 8.0, 1500
+    probability, right = [], []
+    # Explanations 6 and 7 stand for formulas and for something unknown: nothing that was tried shows them.
+    truths = rng.choice(9, logs, p=[share] * 8 + [NOTHING_PRIOR])
+    for truth in truths:
+        numbers = rng.standard_normal(6)
+        if truth < 6:
+            numbers[truth] += spread * rng.standard_normal()
+        evidence = 0.5 * numbers**2 * spread**2 / (1.0 + spread**2) - 0.5 * np.log1p(spread**2)
+        found = told([trial(one, float(value)) for one, value in zip(effects, evidence, strict=True)])
+        probability += [*(found.of(one) for one in effects), found.nothing]
+        right += [*(truth == k for k in range(6)), truth == 8]
+    probability, right = np.array(probability), np.array(right)
+    for low, high in pairwise([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0]):
+        inside = (probability >= low) & (probability < high)
+        if inside.sum() < 50:
+            continue
+        error = np.sqrt(probability[inside] @ (1.0 - probability[inside])) / inside.sum()
+        # Formulas, which were not tried, have a share of the prior that is missing from the sum: 6 % at most.
+        assert abs(right[inside].mean() - probability[inside].mean()) < 4.0 * error + 0.065 * probability[inside].mean()
