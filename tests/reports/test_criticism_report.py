@@ -23,7 +23,7 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 
 @pytest.fixture(scope="module")
 def found():
-    log = simulate_landmark_field(100, 3, bearings=True, effects=("bearing-bias=large",), hide_effects=True)
+    log = simulate_landmark_field(200, 3, bearings=True, effects=("bearing-bias=large",), hide_effects=True)
     return criticize(log, simulations=20, joint=False, rounds=1, seed=1)
 
 
