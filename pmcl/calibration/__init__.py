@@ -4,12 +4,12 @@
 method, labels its result and checks the calibrated model. A method is a class of its own, whose fields are its
 settings.
 
-Of the posterior: :class:`ParticleGibbs`, the paper's sampler, and :class:`MarginalGibbs`; :class:`Ensemble`, emcee's
-moves, and :class:`ParticleMetropolis`, plain and correlated, on the particle filter's evidence;
-:class:`ExtendedKalman` and :class:`UnscentedKalman`; :class:`LiuWest` and :class:`Storvik`, with parameters in the
-particles' state. Of one theta: :class:`ExpectationMaximisation`, :class:`OnlineOdometryBias`, :class:`LeastSquares`,
-:class:`EvidenceOptimiser`, and for comparison :class:`PriorMean` and the oracle :class:`TrueResiduals`. Those that
-are exact only for some models say so.
+Of the posterior: :class:`ParticleGibbs`, the paper's sampler, :class:`MarginalGibbs` and :class:`TrajectorySets`;
+:class:`Ensemble`, emcee's moves, and :class:`ParticleMetropolis`, plain and correlated, on the particle filter's
+evidence; :class:`ExtendedKalman` and :class:`UnscentedKalman`; :class:`LiuWest` and :class:`Storvik`, with parameters
+in the particles' state. Of one theta: :class:`ExpectationMaximisation`, :class:`OnlineOdometryBias`,
+:class:`MeanFunctions`, :class:`LeastSquares`, :class:`EvidenceOptimiser`, and for comparison :class:`PriorMean` and the
+oracle :class:`TrueResiduals`. Those that are exact only for some models say so.
 
 To add a method, write one module with a subclass of :class:`CalibrationMethod` and register it
 (:func:`pmcl.registry.register`, or the entry point group ``pmcl.methods``). :func:`calibrate`, ``pmcl calibrate
@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pmcl.calibration.andrews import TrajectorySets
     from pmcl.calibration.em import ExpectationMaximisation
     from pmcl.calibration.ensemble import Ensemble
     from pmcl.calibration.kalman import ExtendedKalman, UnscentedKalman
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from pmcl.calibration.roy_thrun import OnlineOdometryBias
     from pmcl.calibration.settings import setting
     from pmcl.calibration.storvik import Storvik
+    from pmcl.calibration.stronger_stone import MeanFunctions
     from pmcl.calibration.tempering import Tempering, held_out_exponent, with_exponent
     from pmcl.calibration.truth import TrueResiduals
     from pmcl.calibration.workflow import calibrate
@@ -57,6 +59,7 @@ __all__ = [
     "LeastSquares",
     "LiuWest",
     "MarginalGibbs",
+    "MeanFunctions",
     "OnlineOdometryBias",
     "ParticleGibbs",
     "ParticleMetropolis",
@@ -65,6 +68,7 @@ __all__ = [
     "RunOptions",
     "Storvik",
     "Tempering",
+    "TrajectorySets",
     "TrueResiduals",
     "UnscentedKalman",
     "Variant",
@@ -84,6 +88,7 @@ _HOMES = {
     "LeastSquares": "pmcl.calibration.least_squares",
     "LiuWest": "pmcl.calibration.liu_west",
     "MarginalGibbs": "pmcl.calibration.marginal_gibbs",
+    "MeanFunctions": "pmcl.calibration.stronger_stone",
     "OnlineOdometryBias": "pmcl.calibration.roy_thrun",
     "ParticleGibbs": "pmcl.calibration.particle_gibbs",
     "ParticleMetropolis": "pmcl.calibration.pmmh",
@@ -92,6 +97,7 @@ _HOMES = {
     "RunOptions": "pmcl.sampling.options",
     "Storvik": "pmcl.calibration.storvik",
     "Tempering": "pmcl.calibration.tempering",
+    "TrajectorySets": "pmcl.calibration.andrews",
     "TrueResiduals": "pmcl.calibration.truth",
     "UnscentedKalman": "pmcl.calibration.kalman",
     "Variant": "pmcl.calibration.method",

@@ -11,16 +11,21 @@ from numpy.typing import NDArray
 
 from pmcl.errors import DensityError, FilterError
 from pmcl.filtering.kernels import smc
+from pmcl.filtering.kernels.backward import WEIGHED
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.interrupts import check_interrupt
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "FilterPass", "PathUpdate", "draw_paths", "draw_paths_beside", "log_joint", "make_rng", "run_filter", "update_path",
+    "MOST_EXCHANGEABLE", "FilterPass", "PathUpdate", "draw_paths", "draw_paths_beside", "draw_set", "log_joint",
+    "make_rng", "run_filter", "update_path",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
 Kernel = Literal["smoothing", "conditional"]
+
+MOST_EXCHANGEABLE = WEIGHED
+"""With at most so many particles :func:`draw_set` draws trajectories among which the given one is as any other."""
 
 
 def make_rng(seed: int | np.random.SeedSequence | None = None) -> np.random.Generator:
@@ -296,6 +301,48 @@ def update_path(
         return PathUpdate(-math.inf, 0.0, 0.0, succeeded=False)
     raise_outcome(status, t, f"{kernel} sweep")
     return PathUpdate(log_evidence, effective / n_particles, changed / n_steps, succeeded=True)
+
+
+def draw_set(tables: Tables, path: Float, n_paths: int, n_particles: int, rng: np.random.Generator) -> Float | None:
+    """Draw a set of trajectories by one pass of conditional SMC with backward sampling.
+
+    If `path` has the law p(path | readings, theta), then it and the drawn ones are exchangeable under that law.
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients of one log at theta.
+    path : ndarray, shape (T, D)
+        The trajectory that the pass keeps; it is left as it is.
+    n_paths : int
+        Number of trajectories M.
+    n_particles : int
+        Number of particles n, from 2 to :data:`MOST_EXCHANGEABLE`. With more, backward sampling begins at a particle's
+        own ancestor, which ties a trajectory to those of the same pass.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray, shape (M, T, D), or None
+        None when every particle had weight zero at some row. Cost: O(T n) and O(T n) for each trajectory.
+
+    Raises
+    ------
+    FilterError
+        When a density is not a number, a transition has no density, or n is not usable.
+    """
+    if not 2 <= n_particles <= MOST_EXCHANGEABLE:
+        raise FilterError(
+            f"expected 2 to {MOST_EXCHANGEABLE} particles for a set of exchangeable trajectories, but got "
+            f"{n_particles}; 25 are usual"
+        )
+    paths = np.zeros((n_paths, *path.shape))
+    status, t = smc.draw_conditionally(tables, rng, n_particles, np.ascontiguousarray(path), paths)
+    if status == smc.ALL_ZERO:
+        return None
+    raise_outcome(status, t, "conditional set")
+    return paths
 
 
 def log_joint(tables: Tables, path: Float) -> float:

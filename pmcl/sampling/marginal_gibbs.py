@@ -17,20 +17,18 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from emcee.moves import Move
-from emcee.state import State
 from numpy.typing import NDArray
 
-from pmcl.errors import FilterError, ModelError
+from pmcl.errors import ModelError
 from pmcl.filtering.kernels.stepwise import move_each, pair_terms, start_states
-from pmcl.filtering.particle_filter import log_joint, make_rng, update_path
+from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.filtering.tracker import stack_tables
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.near_mode import NearMode
-from pmcl.sampling.random_walk import WalkKit, draw_near, no_start
-from pmcl.sampling.state import state_dimension
+from pmcl.sampling.path_walk import PathMove, PathStarter, path_dtype
+from pmcl.sampling.random_walk import WalkKit
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
 
@@ -38,8 +36,6 @@ __all__ = ["marginal_gibbs_kit", "redraw_from_mixture"]
 
 Float = NDArray[np.float64]
 
-# Particles of the filter that draws the first path.
-_FIRST_PARTICLES = 500
 # Burn-in aims at this share of moves to the proposed theta; drawn by its odds, it is at most a half.
 _MOVED = 0.2
 _FIELDS = ("log_joint", "acceptance_rate", "path_update_rate")
@@ -139,8 +135,8 @@ def _log_share(log_odds: Float) -> Float:
     return np.asarray(-np.logaddexp(0.0, -log_odds))
 
 
-class _MarginalMove(Move):  # type: ignore[misc]
-    """One sweep of marginal particle Gibbs for every walker; see :class:`pmcl.sampling.move.ParticleGibbsMove`."""
+class _MarginalMove(PathMove):
+    """One sweep of marginal particle Gibbs for every walker."""
 
     def __init__(self, bound: BoundModel, particles: int, root: Float, gain: float) -> None:
         self.bound, self.particles, self.root, self.gain = bound, particles, root, gain
@@ -191,49 +187,6 @@ class _MarginalMove(Move):  # type: ignore[misc]
         blob["acceptance_rate"] = moved
         return np.array(theta), float(blob["log_joint"]), blob
 
-    def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Advance all walkers, see :meth:`pmcl.sampling.move.ParticleGibbsMove.propose`."""
-        seeds = model.random.randint(0, 2**62, size=state.coords.shape[0], dtype=np.int64)
-        work = list(zip(state.coords, state.blobs, (int(seed) for seed in seeds), strict=True))
-        results = list(model.map_fn(self.update, work))
-        coords = np.array([result[0] for result in results])
-        blobs = np.array([result[2] for result in results], dtype=state.blobs.dtype)
-        log_prob = np.array([result[1] for result in results])
-        accepted = np.any(coords != state.coords, axis=1)
-        return State(coords, log_prob=log_prob, blobs=blobs, random_state=model.random.get_state()), accepted
-
-
-class _Starter:
-    """A picklable function seed -> (theta, log_prob, blob)."""
-
-    def __init__(self, bound: BoundModel, near: NearMode, dtype: np.dtype[Any]) -> None:
-        self.bound, self.near, self.dtype = bound, near, dtype
-
-    def __call__(self, seed: int) -> tuple[Float, float, Any]:
-        rng, bound = make_rng(np.random.SeedSequence(seed)), self.bound
-        for theta in draw_near(self.near, Unconstrained(bound.parameters), rng):
-            blob = np.zeros((), dtype=self.dtype)
-            path = np.zeros(blob["path"].shape)
-            prior = bound.log_prior(theta)
-            if not prior > -math.inf:
-                continue
-            try:
-                bound.check(theta)
-                tables, paths = bound.tables(theta), included(bound, path, max(bound.lengths))
-                done = [
-                    update_path(table, part, len(part), _FIRST_PARTICLES, rng, "smoothing").succeeded
-                    for table, part in zip(tables, paths, strict=True)
-                ]
-            except (FilterError, ModelError):
-                continue
-            if all(done):
-                blob["path"] = path
-                blob["log_joint"] = prior + math.fsum(
-                    log_joint(table, part) for table, part in zip(tables, paths, strict=True)
-                )
-                return theta, float(blob["log_joint"]), blob
-        raise no_start()
-
 
 def _equal(table: Any, other: Any) -> bool:
     if isinstance(table, tuple):
@@ -268,11 +221,9 @@ def marginal_gibbs_kit(bound: BoundModel, near: NearMode, particles: int) -> Wal
                 f"{log.where}: expected a start belief that does not depend on the parameters, but this model's does; "
                 "use method particle-gibbs"
             )
-    shape = (sum(bound.lengths), state_dimension(bound))
-    numbers: list[Any] = [(name, np.float64) for name in (*_FIELDS, "log_scale")]
-    dtype = np.dtype([("path", np.float64, shape), *numbers])
+    dtype = path_dtype(bound, _FIELDS)
     return WalkKit(
-        _Starter(bound, near, dtype),
+        PathStarter(bound, near, dtype),
         lambda root, gain: _MarginalMove(bound, particles, root, gain),
         dtype,
         _FIELDS[1:],
