@@ -16,6 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 __all__ = ["check_interrupt", "stopping_on_interrupt"]
 
@@ -25,7 +26,7 @@ _NOTICES = {
     signal.SIGTERM: b"pmcl: told to end; stopping after this step\n",
 }
 # Only in place of these handlers: a program that handles a signal itself, or ignores it, is left alone.
-_PYTHONS_OWN = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+_PYTHONS_OWN: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
 
 class _Watch:
