@@ -33,6 +33,7 @@ __all__ = [
     "group_names",
     "load_netcdf",
     "mcse_of_mean",
+    "mean_ess",
     "r_hat",
     "save_netcdf",
     "size_of",
@@ -299,6 +300,23 @@ def tail_ess(draws: Float) -> float:
     if draws.shape[1] < 4:
         return float("nan")
     return _scalar(_arviz().ess, draws, method="tail", prob=_TAILS)
+
+
+def mean_ess(draws: Float) -> float:
+    """Effective number of draws for the mean.
+
+    Parameters
+    ----------
+    draws : ndarray, shape (K, N)
+
+    Returns
+    -------
+    float
+        NaN for fewer than four draws.
+    """
+    if draws.shape[1] < 4:
+        return float("nan")
+    return _scalar(_arviz().ess, draws, method="mean")
 
 
 def mcse_of_mean(draws: Float) -> float:
