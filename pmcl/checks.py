@@ -12,11 +12,12 @@ import math
 import numbers
 import os
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from pmcl.errors import PmclError, did_you_mean
+from pmcl.errors import PmclError, did_you_mean, one_line
 
 __all__ = [
     "MOST_COUNT",
@@ -29,6 +30,7 @@ __all__ = [
     "check_seed",
     "check_type",
     "check_whole",
+    "file_name",
 ]
 
 Checked = TypeVar("Checked")
@@ -290,3 +292,20 @@ def _shown(value: Any) -> str:
         text = ""
     text = text if len(text) <= 40 else f"{text[:37]}..."
     return text if value is None or isinstance(value, str | bool | float) else f"{text} ({type(value).__name__})"
+
+
+def file_name(where: str) -> str:
+    """Return the name of a file as a result may hold it: without its folder, which is private to the user.
+
+    Parameters
+    ----------
+    where : str
+        Path of the file.
+
+    Returns
+    -------
+    str
+        In one line and in characters that a file can hold: on Linux a name may be any bytes, and Python gives those
+        that are no UTF-8 as lone surrogates.
+    """
+    return one_line(Path(where).name.encode("utf-8", "replace").decode())

@@ -10,6 +10,7 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
+    "ConversionError",
     "CriticismError",
     "DensityError",
     "FilterError",
@@ -126,6 +127,20 @@ class SamplingError(PmclError):
 
 class PosteriorError(PmclError):
     """A posterior is empty, or does not fit what it is used with."""
+
+
+class ConversionError(PosteriorError):
+    """All was sampled, but the draws could not be made a posterior; the message says where they are.
+
+    Attributes
+    ----------
+    chains : object
+        The draws as plain arrays (:class:`pmcl.sampling.chains.Chains`); for a point estimate, the estimate.
+    """
+
+    def __init__(self, message: str = "", chains: object = None) -> None:
+        super().__init__(message)
+        self.chains = chains
 
 
 class CriticismError(PmclError):

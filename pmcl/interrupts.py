@@ -1,4 +1,4 @@
-"""Ctrl-C during long work: the first one stops the work at its next step, the second one at once.
+"""Ctrl-C, or a cluster's SIGTERM, during long work: the first stops it at its next step, the second at once.
 
 Python raises KeyboardInterrupt wherever the main thread happens to be. Inside a callback of compiled code, of a garbage
 collector or of a progress bar nobody can pass it on, so it is printed and forgotten, and the run goes on. While
@@ -16,17 +16,25 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 __all__ = ["check_interrupt", "stopping_on_interrupt"]
 
-_NOTICE = b"pmcl: stopping after this step; press Ctrl-C again to stop at once\n"
+_NOTICES = {
+    signal.SIGINT: b"pmcl: stopping after this step; press Ctrl-C again to stop at once\n",
+    # What a cluster sends some seconds before it kills a job.
+    signal.SIGTERM: b"pmcl: told to end; stopping after this step\n",
+}
+# Only in place of these handlers: a program that handles a signal itself, or ignores it, is left alone.
+_PYTHONS_OWN: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
 
 class _Watch:
-    """Whether a handler is installed, and whether Ctrl-C was pressed since."""
+    """Whether a handler is installed, whether a signal came since, and the process that installed it."""
 
     active = False
     requested = False
+    process = 0
 
 
 def check_interrupt() -> None:
@@ -40,10 +48,10 @@ def check_interrupt() -> None:
 
 @contextmanager
 def stopping_on_interrupt() -> Iterator[None]:
-    """Let Ctrl-C stop the enclosed work at its next call of :func:`check_interrupt`.
+    """Let Ctrl-C or SIGTERM stop the enclosed work at its next call of :func:`check_interrupt`.
 
     The handler is installed only in the main thread, where Python delivers signals, and only in place of Python's own
-    handler: a program that handles Ctrl-C itself, or ignores it, is left alone. The handler before is put back in the
+    handler: a program that handles a signal itself, or ignores it, is left alone. The handler before is put back in the
     end. Inside another such block this one does nothing.
 
     Raises
@@ -52,15 +60,14 @@ def stopping_on_interrupt() -> Iterator[None]:
         In the end at the latest, so that no Ctrl-C is lost; also in place of an error that the interruption caused,
         such as that of a pool of processes which Ctrl-C has stopped too.
     """
-    if (
-        _Watch.active
-        or threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    replaced = [number for number, own in _PYTHONS_OWN.items() if in_main_thread and signal.getsignal(number) is own]
+    if _Watch.active or not replaced:
         yield
         return
-    _Watch.active, _Watch.requested = True, False
-    signal.signal(signal.SIGINT, _on_signal)
+    _Watch.active, _Watch.requested, _Watch.process = True, False, os.getpid()
+    for number in replaced:
+        signal.signal(number, _on_signal)
     try:
         yield
         check_interrupt()
@@ -69,15 +76,20 @@ def stopping_on_interrupt() -> Iterator[None]:
             raise KeyboardInterrupt from error
         raise
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in replaced:
+            signal.signal(number, _PYTHONS_OWN[number])
         _Watch.active = _Watch.requested = False
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:
-    if _Watch.requested:
-        signal.default_int_handler(number, frame)
+    # A pool ends its processes by SIGTERM and waits for their end; those forked from here inherit this handler.
+    forked = number == signal.SIGTERM and os.getpid() != _Watch.process
+    if _Watch.requested or forked:
+        signal.signal(number, _PYTHONS_OWN[signal.Signals(number)])
+        signal.raise_signal(number)
+        return
     _Watch.requested = True
     # Not through sys.stderr: the signal may have come while that was being written to.
     if sys.__stderr__ is not None:
         with contextlib.suppress(OSError, ValueError):
-            os.write(sys.__stderr__.fileno(), _NOTICE)
+            os.write(sys.__stderr__.fileno(), _NOTICES[signal.Signals(number)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import secrets
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from pmcl.errors import PmclError, PosteriorError
 
-__all__ = ["replacing", "write_whole"]
+__all__ = ["remove_rests", "replacing", "write_whole"]
 
 # What a file of HDF5 needs besides its arrays: headers, names and attributes [byte].
 _HEADERS = 2**20
@@ -51,6 +52,7 @@ def replacing(
         with open(temporary, "rb") as stream:
             os.fsync(stream.fileno())
         temporary.replace(target)
+        _keep_name(target.parent)
     except OSError as problem:
         raise error(
             f"expected a place to write {path}, got {problem.strerror or problem}: check that the folder exists, "
@@ -77,6 +79,32 @@ def write_whole(
     """
     with replacing(path, error=error) as temporary:
         temporary.write_bytes(content)
+
+
+def remove_rests(path: str | os.PathLike[str]) -> None:
+    """Remove what writers of a file left that were killed; only the process that alone may write the file may call it.
+
+    Parameters
+    ----------
+    path : path-like
+        The final file, which stays as it is.
+    """
+    target = Path(os.path.realpath(path))
+    with suppress(OSError):
+        for rest in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
+            with suppress(OSError):
+                rest.unlink()
+
+
+def _keep_name(folder: Path) -> None:
+    """Write a folder to disk: else a crash of the machine may undo a renaming, though what came after it is kept."""
+    # Windows opens no folders, and some file systems do not write them on demand.
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _reserve(path: Path, n_bytes: int) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from pmcl import defaults
 from pmcl.calibration.method import CalibrationMethod
 from pmcl.calibration.methods import as_method
 from pmcl.checks import check_flag, check_path, check_seed, check_type, check_whole
-from pmcl.errors import ModelError, SamplingError
+from pmcl.errors import ConversionError, ModelError, SamplingError
 from pmcl.filtering.ahead import compile_for_calibration
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.logs.robot_log import RobotLog
@@ -20,7 +21,9 @@ from pmcl.models.robot_model import BoundModel, RobotModel, default_model, log_s
 from pmcl.posterior.compat import Posterior
 from pmcl.posterior.convert import to_arviz
 from pmcl.posterior.predictive_check import checked
+from pmcl.posterior.rehearsal import rehearse
 from pmcl.preflight.check import checked_logs, require_rows
+from pmcl.sampling.chains import Chains, PointEstimate
 from pmcl.sampling.options import RunOptions
 
 __all__ = ["calibrate"]
@@ -80,7 +83,8 @@ def calibrate(
     Raises
     ------
     PmclError
-        When logs, model and settings do not fit each other, or no chain can start.
+        When logs, model and settings do not fit each other, no chain can start, or a posterior could not be written
+        (which is tried before sampling). A ConversionError holds draws of which no posterior could be made.
     KeyboardInterrupt
         After the current sweep when Ctrl-C was pressed, at once when it was pressed twice. With a checkpoint nothing
         is lost: the same call with `resume` goes on.
@@ -106,8 +110,27 @@ def calibrate(
     # Plausible mistakes in the logs are warned of before sampling, and stay with the result.
     attributes = {"model": _model_text(bound), "preflight": checked_logs(bound.logs, model)}
     options = dataclasses.replace(options, attributes=attributes)
-    data = to_arviz(method.run(bound, options), bound.parameters, bound.logs)
-    return checked(data, bound, options.seed) if check else data
+    folder = None if options.checkpoint is None else Path(os.path.realpath(options.checkpoint)).parent
+    rehearse(bound.parameters, bound.logs, attributes, folder)
+    result = method.run(bound, options)
+    try:
+        data = to_arviz(result, bound.parameters, bound.logs)
+        return checked(data, bound, options.seed) if check else data
+    except Exception as error:  # whatever it is, it must not cost the draws
+        raise _unconverted(error, result, options.checkpoint) from error
+
+
+def _unconverted(error: Exception, result: Chains | PointEstimate, checkpoint: str | None) -> ConversionError:
+    kept = "they are in the attribute 'chains' of this error"
+    if checkpoint is not None and os.path.exists(checkpoint):
+        kept = (
+            f"they are in {checkpoint}: mend this, then the same call with resume, or the same command with --resume, "
+            "makes the posterior without sampling again"
+        )
+    return ConversionError(
+        f"expected to make a posterior of the draws, got {type(error).__name__}: {error}; nothing is lost, {kept}",
+        result,
+    )
 
 
 def _options(

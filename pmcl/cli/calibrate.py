@@ -21,7 +21,7 @@ from pmcl.cli.options import (
     writable_file,
 )
 from pmcl.cli.report import print_verdict
-from pmcl.errors import PmclError
+from pmcl.errors import ConversionError, PmclError
 
 if TYPE_CHECKING:
     from pmcl.logs.robot_log import RobotLog
@@ -139,6 +139,8 @@ def _run(
     to_go_on = f"what was sampled is in {file}: go on with the same command and --resume"
     try:
         data = run_calibration(logs, model, checkpoint=file, **settings)
+    except ConversionError:
+        raise
     except PmclError:
         # The same command would fail again, and its checkpoint would only be in the way of the next one.
         if not existed:

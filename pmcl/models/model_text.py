@@ -9,6 +9,7 @@ import numpy as np
 import tomlkit
 from tomlkit.items import Table
 
+from pmcl.checks import file_name
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -47,7 +48,7 @@ def model_text(model: RobotModel, log: RobotLog) -> str:
     if not model.sensors:
         raise ModelError("expected a model with at least one sensor, but got none; nothing could be inferred with it")
     document = tomlkit.document()
-    document.add(tomlkit.comment(f"pmcl model for {log.robot or 'the robot'} of {log.where}"))
+    document.add(tomlkit.comment(f"pmcl model for {log.robot or 'the robot'} of {file_name(log.where)}"))
     document.add(tomlkit.comment("SI units: metres, radians, seconds. Keys that are left out follow the log."))
     document.add(tomlkit.nl())
     for name, kind in motions().items():

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import os
+import tempfile
 import warnings
 from collections.abc import Mapping
 from os import PathLike
@@ -31,6 +33,7 @@ __all__ = [
     "group_names",
     "load_netcdf",
     "mcse_of_mean",
+    "mean_ess",
     "r_hat",
     "save_netcdf",
     "size_of",
@@ -42,13 +45,40 @@ Posterior: TypeAlias = Any
 
 Float = NDArray[np.float64]
 
+# Names the user's cache folder on Linux.
+_CACHE = "XDG_CACHE_HOME"
 # Quantiles of the tail effective sample size: the ends of the 90 % interval that pmcl reports.
 _TAILS = (0.05, 0.95)
 
 
 def _arviz() -> Any:
     # Untyped on purpose: only one of the generations has annotations, and these do not fit the other.
-    return importlib.import_module("arviz")
+    with warnings.catch_warnings():
+        # What ArviZ announces when it is imported would be an error under -W error.
+        warnings.simplefilter("ignore")
+        try:
+            return importlib.import_module("arviz")
+        except OSError:
+            return _arviz_without_home()
+
+
+def _arviz_without_home() -> Any:
+    """Import an ArviZ that writes into the user's cache folder, where there is none that can be written."""
+    before = os.environ.get(_CACHE)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            os.environ[_CACHE] = folder
+            return importlib.import_module("arviz")
+    except OSError as error:
+        raise PosteriorError(
+            f"expected a place where ArviZ can write when it is imported, got {error}: let HOME or {_CACHE} name a "
+            "folder that can be written"
+        ) from error
+    finally:
+        if before is None:
+            os.environ.pop(_CACHE, None)
+        else:
+            os.environ[_CACHE] = before
 
 
 def _uses_datatree() -> bool:
@@ -270,6 +300,23 @@ def tail_ess(draws: Float) -> float:
     if draws.shape[1] < 4:
         return float("nan")
     return _scalar(_arviz().ess, draws, method="tail", prob=_TAILS)
+
+
+def mean_ess(draws: Float) -> float:
+    """Effective number of draws for the mean.
+
+    Parameters
+    ----------
+    draws : ndarray, shape (K, N)
+
+    Returns
+    -------
+    float
+        NaN for fewer than four draws.
+    """
+    if draws.shape[1] < 4:
+        return float("nan")
+    return _scalar(_arviz().ess, draws, method="mean")
 
 
 def mcse_of_mean(draws: Float) -> float:

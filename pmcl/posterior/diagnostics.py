@@ -6,7 +6,7 @@ an improved R-hat", Bayesian Analysis 16(2), 2021, as ArviZ computes them, with 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from pmcl.errors import PosteriorError
 from pmcl.posterior.access import log_joint, parameter_names, parameter_units, theta_draws, true_theta
 from pmcl.posterior.adequacy import adequacy
 from pmcl.posterior.compat import Posterior, bulk_ess, find_group, mcse_of_mean, r_hat, tail_ess
+from pmcl.posterior.independence import ensemble_bulk_ess, ensemble_tail_ess, independence
 from pmcl.posterior.settings import settings
 
 __all__ = ["ESS_LIMIT", "R_HAT_LIMIT", "Verdict", "lost_chains", "summarize", "verdict"]
@@ -85,7 +86,8 @@ def summarize(data: Posterior) -> xr.Dataset:
     xarray.Dataset
         Over the dimension ``parameter``: ``unit``, and in that unit ``mean``, ``sd``, ``mcse`` (Monte Carlo standard
         error of the mean), ``q5`` and ``q95`` (5 % and 95 % quantile), ``truth`` (NaN when unknown); without unit
-        ``r_hat``, ``ess_bulk`` and ``ess_tail``. ``summarize(data).to_dataframe()`` gives a pandas table.
+        ``r_hat``, ``ess_bulk`` and ``ess_tail`` (of an ensemble: with its walkers' dependence).
+        ``summarize(data).to_dataframe()`` gives a pandas table.
 
     Raises
     ------
@@ -96,15 +98,20 @@ def summarize(data: Posterior) -> xr.Dataset:
     flat = theta.reshape(-1, len(names))
     low, high = np.quantile(flat, [0.05, 0.95], axis=0)
     spread = flat.std(axis=0, ddof=1) if len(flat) > 1 else np.full(len(names), np.nan)
+    bulk, tail, error = _each(bulk_ess, theta), _each(tail_ess, theta), _each(mcse_of_mean, theta)
+    if independence(data, *theta.shape[:2]).ensemble:
+        bulk = np.fmin(bulk, _each(ensemble_bulk_ess, theta))
+        tail = np.fmin(tail, _each(ensemble_tail_ess, theta))
+        error = np.fmax(error, spread / np.sqrt(bulk))
     columns = {
         "mean": flat.mean(axis=0),
         "sd": spread,
-        "mcse": _each(mcse_of_mean, theta),
+        "mcse": error,
         "q5": low,
         "q95": high,
         "r_hat": _each(r_hat, theta),
-        "ess_bulk": _each(bulk_ess, theta),
-        "ess_tail": _each(tail_ess, theta),
+        "ess_bulk": bulk,
+        "ess_tail": tail,
         "truth": np.array([truth.get(name, np.nan) for name in names]),
     }
     return xr.Dataset(
@@ -151,7 +158,8 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
     """Judge a posterior: whether the chains have converged, and whether the model fits.
 
     Converged means: rank-normalised split R-hat at most 1.01 and at least 400 effective draws, in bulk and tails, for
-    every parameter, and no chain lost. Adequate means: the check that ends a calibration
+    every parameter, no chain lost, at least two chains that are no copies of each other, and sweeps that move the path
+    (:mod:`pmcl.posterior.independence`). Adequate means: the check that ends a calibration
     (:func:`pmcl.posterior.model_check.check_model`) found nothing unusual in the predictions of a filter with the
     posterior mean, and no mistake in the log was found before sampling.
 
@@ -187,8 +195,14 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
     densities = log_joint(data)
     lost = lost_chains(densities) if densities is not None else {}
     short = _shortfalls(table)
-    advice = (*_advice_on_chains(table, lost), *_advice_on_draws(table, short, lost), *_advice_on_moves(data))
-    converged = not lost and not short
+    chains = independence(data, table.attrs["chains"], table.attrs["draws"])
+    advice = (
+        *_advice_on_chains(table, lost),
+        *chains.advice,
+        *_advice_on_draws(table, short, lost),
+        *_advice_on_moves(data),
+    )
+    converged = not (lost or short or chains.complaints)
     if converged:
         least = float(min(table["ess_bulk"].min(), table["ess_tail"].min()))
         message = (
@@ -196,7 +210,7 @@ def verdict(data: Posterior, summary: xr.Dataset | None = None) -> Verdict:
             f"effective draws for {_count(len(names), 'parameter')}."
         )
     else:
-        message = _complaint(table, short, lost)
+        message = _complaint(table, short, lost, chains.complaints)
     if fit.adequate is False:
         message += f" {'But' if converged else 'Besides,'} {fit.sentence}."
     elif fit.adequate and converged:
@@ -219,8 +233,8 @@ def _shortfall_factor(table: xr.Dataset) -> Float:
     return np.asarray(np.maximum(r_hat_factor, ESS_LIMIT / np.maximum(least, 1e-12)), dtype=np.float64)
 
 
-def _complaint(table: xr.Dataset, short: list[str], lost: dict[int, float]) -> str:
-    parts = [_lost_sentence(lost)] if lost else []
+def _complaint(table: xr.Dataset, short: list[str], lost: dict[int, float], others: Sequence[str]) -> str:
+    parts = [*([_lost_sentence(lost)] if lost else []), *others]
     if short:
         row = table.sel(parameter=short[0])
         if not np.isfinite(row["r_hat"]):

@@ -7,13 +7,13 @@ variables and dimensions are numbered: ``odometry_0(time_0, increment)``, ``odom
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from pmcl.checks import file_name
 from pmcl.logs.schema import readings, variables
 from pmcl.maps.occupancy_grid import OccupancyGrid
 
@@ -119,7 +119,7 @@ def log_groups(logs: Sequence[LogLike]) -> tuple[xr.Dataset, xr.Dataset]:
         # The truth is a JSON text among the attributes of the log; it is kept as numbers below instead.
         attrs = {f"{key}{suffix}": value for key, value in dataset.attrs.items() if key in _KEPT_ATTRIBUTES}
         # Only the name of its file: its folder is private to the user.
-        if name := Path(getattr(log, "where", "")).name:
+        if name := file_name(getattr(log, "where", "")):
             attrs[f"log{suffix}"] = name
         measured = [_measured(dataset[kind], suffix) for kind in kinds]
         observed.append(xr.Dataset({each.name: each for each in measured}, attrs=attrs))

@@ -31,7 +31,7 @@ from pmcl.hdf5 import UnsafeFileError, stored_arrays
 from pmcl.models.effects.formula import Formula
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
-from pmcl.whole_file import write_whole
+from pmcl.whole_file import remove_rests, write_whole
 
 __all__ = ["Checkpoint", "fingerprint", "the_only_run"]
 
@@ -135,7 +135,7 @@ def the_only_run(path: str | None) -> Iterator[None]:
 
 
 class Checkpoint:
-    """The checkpoint file of one run.
+    """The checkpoint file of one run, which must be the only one with this file, see :func:`the_only_run`.
 
     Parameters
     ----------
@@ -158,6 +158,7 @@ class Checkpoint:
         self._stages: dict[str, StageBackend] = {}
         self._steps_written = 0
         self._due = time.monotonic() + _LEAST_PAUSE
+        remove_rests(self.path)
         if not self.path.exists():
             if resume:
                 _logger.info("there is no checkpoint %s yet: the run starts from the beginning", self.path)

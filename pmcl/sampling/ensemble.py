@@ -254,4 +254,5 @@ def run_ensemble(
                 state = runner.advance(state, name, time_share)
             elif name == "burn-in" and not backends[1].iteration:
                 state = backend.get_last_sample()
-    return collected(bound, backends, EstimateInfo._fields, {**settings, **options.attributes})
+    outcome: dict[str, SettingValue] = {"dependent_chains": True}
+    return collected(bound, backends, EstimateInfo._fields, {**settings, **outcome, **options.attributes})

@@ -60,6 +60,8 @@ def run_particle_gibbs(
     check_run_memory(bound, options.chains, max(stage.settings.particles for stage in stages), options)
     transports: list[Transport | None] | None = None
     restarts = 0
+    # Of each chain: the chain whose beginning it has, and how many sweeps were dead before the stage that follows.
+    origins, dead_before = np.arange(options.chains), np.zeros(options.chains, dtype=np.int64)
     with run_session(bound, settings, options.chains, options) as session:
         backends = [session.backend(stage.name, stage.steps, stage.window, stage.keep_every) for stage in stages]
         # Also when resuming: the first states are cheap, and how they were found is part of the result.
@@ -76,6 +78,9 @@ def run_particle_gibbs(
                 continue
             lost = lost_chains(backend, stage, longest)
             restarts += len(lost)
+            source = np.array([lost.get(k, k) for k in range(options.chains)])
+            origins = origins[source]
+            dead_before = backend.get_blobs()["failed_updates"][-1][source]
             if following.complete:  # no later stage needs what this one would be used for
                 continue
             state = restarted(state, lost)
@@ -88,7 +93,8 @@ def run_particle_gibbs(
     outcome: dict[str, SettingValue] = {
         "restarted_chains": restarts,
         "impossible_starts": impossible,
-        "dead_sweeps": int(backends[-1].get_blobs()["failed_updates"][-1].sum()),
+        "chain_origins": " ".join(map(str, origins)),
+        "dead_sweeps_while_drawing": int((backends[-1].get_blobs()["failed_updates"][-1] - dead_before).sum()),
     }
     return collected(bound, backends, SweepInfo._fields, {**settings, **outcome, **options.attributes})
 

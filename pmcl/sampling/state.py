@@ -33,7 +33,7 @@ class ChainState(NamedTuple):
     rows : int
         Rows of each log that are included (the paper's l); at the end of burn-in all of them.
     failed_updates : int
-        How many trajectory updates failed because every particle had weight zero, since the stage began.
+        How many trajectory updates failed because every particle had weight zero, since the chain began.
     """
 
     theta: Float

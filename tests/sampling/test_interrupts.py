@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import h5py
@@ -28,6 +29,26 @@ OPTIONS = RunOptions(draws=12, chains=3, seed=5, trajectories=4)
 
 def press_control_c():
     os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_program_that_is_told_to_end_stops_after_its_step_too():
+    """SIGTERM, which clusters send before they kill."""
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        run_all(lambda: os.kill(os.getpid(), signal.SIGTERM), lambda: done.append("went on"), check_interrupt)
+    assert done == ["went on"]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked there")
+def test_a_forked_process_ends_when_its_pool_ends_it():
+    """It has inherited the handler; a pool would wait for ever for a process that goes on."""
+    with stopping_on_interrupt():
+        process = get_context("fork").Process(target=time.sleep, args=(60.0,))
+        process.start()
+        process.terminate()
+        process.join(20.0)
+    assert process.exitcode == -signal.SIGTERM
 
 
 def run_all(*functions):
