@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import os
 import subprocess
@@ -22,6 +23,13 @@ def test_every_bug_can_be_planted_and_its_test_exists():
     for bug in plant_bugs.BUGS:
         compile(plant_bugs.planted(bug), bug.source, "exec")
         assert f"def {bug.test}" in (HERE.parent / bug.file).read_text(), bug.what
+
+
+def test_all_bugs_were_caught_when_they_were_last_planted():
+    with open(HERE / "results.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["bug"] for row in rows] == [bug.what for bug in plant_bugs.BUGS]
+    assert {row["outcome"] for row in rows} == {"caught"}
 
 
 @pytest.mark.long
