@@ -30,11 +30,19 @@ _PYTHONS_OWN: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_han
 
 
 class _Watch:
-    """Whether a handler is installed, whether a signal came since, and the process that installed it."""
+    """Whether a handler is installed, and whether a signal came since."""
 
     active = False
     requested = False
-    process = 0
+
+
+class _Mask(threading.local):
+    """The signals that this thread had blocked before it forked; None while it does not fork."""
+
+    before: set[int] | None = None
+
+
+_mask = _Mask()
 
 
 def check_interrupt() -> None:
@@ -65,7 +73,7 @@ def stopping_on_interrupt() -> Iterator[None]:
     if _Watch.active or not replaced:
         yield
         return
-    _Watch.active, _Watch.requested, _Watch.process = True, False, os.getpid()
+    _Watch.active, _Watch.requested = True, False
     for number in replaced:
         signal.signal(number, _on_signal)
     try:
@@ -82,9 +90,7 @@ def stopping_on_interrupt() -> Iterator[None]:
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:
-    # A pool ends its processes by SIGTERM and waits for their end; those forked from here inherit this handler.
-    forked = number == signal.SIGTERM and os.getpid() != _Watch.process
-    if _Watch.requested or forked:
+    if _Watch.requested:
         signal.signal(number, _PYTHONS_OWN[signal.Signals(number)])
         signal.raise_signal(number)
         return
@@ -93,3 +99,29 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
     if sys.__stderr__ is not None:
         with contextlib.suppress(OSError, ValueError):
             os.write(sys.__stderr__.fileno(), _NOTICES[signal.Signals(number)])
+
+
+def _before_fork() -> None:
+    if _Watch.active:
+        _mask.before = {int(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})}
+
+
+def _after_fork_in_parent() -> None:
+    if _mask.before is not None:
+        signal.pthread_sigmask(signal.SIG_SETMASK, _mask.before)
+        _mask.before = None
+
+
+def _after_fork_in_child() -> None:
+    if signal.getsignal(signal.SIGTERM) is _on_signal:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _after_fork_in_parent()
+
+
+# A pool ends its processes by SIGTERM and waits for their end, so that those forked from here must not go on until
+# their next step. The signal stays blocked until they have Python's own handler again: a new process forgets the
+# signals that came before Python has noticed the fork.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=_before_fork, after_in_parent=_after_fork_in_parent, after_in_child=_after_fork_in_child
+    )
