@@ -122,8 +122,9 @@ class _LogArrays(NamedTuple):
 
 def _arrays(bound: BoundModel) -> list[_LogArrays]:
     return [
-        _LogArrays(np.array(tables.start.mean), np.array(tables.start.std), np.array(log.odometry), tables.sensors)
+        _LogArrays(np.array(start.mean), np.array(start.std), np.array(log.odometry), tables.sensors)
         for log, tables in zip(bound.logs, bound.tables(bound.prior_mean()), strict=True)
+        if isinstance(start := tables.start, PoseStart | GaussianStart)
     ]
 
 
@@ -311,7 +312,8 @@ def run_no_u_turn(
             if stopwatch.now() >= stopwatch.limit:
                 break
             states = [advance(state) for state in states]
-            jax.block_until_ready(states)
+            wait: Any = jax.block_until_ready
+            wait(states)
             if number >= warm_up:
                 keep = (number - warm_up) % options.keep_every == 0
                 collected.add([(state, recorded(state.z)) for state in states], keep)
