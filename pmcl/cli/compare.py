@@ -87,8 +87,10 @@ def compare(
 
     robot_log = RobotLog.read(log, map_file)
     model = read_model(model_file, robot_log) if model_file else None
-    settings = {"seconds": seconds, "chains": chains, "seed": seed, "held_out": held_out}
-    comparison = run(robot_log, compared, model, progress=wants_progress(no_progress), **settings)
+    comparison = run(
+        robot_log, compared, model, seconds=seconds, chains=chains, seed=seed, held_out=held_out,
+        progress=wants_progress(no_progress),
+    )  # fmt: skip
     write_comparison(comparison, output)
     judged = comparison_verdict(comparison)
     click.echo(comparison_text(comparison))
