@@ -49,6 +49,7 @@ _OWN: dict[str, dict[str, str]] = {
         "ensemble": "pmcl.calibration.ensemble:Ensemble",
         "pmmh": "pmcl.calibration.pmmh:ParticleMetropolis",
         "marginal-gibbs": "pmcl.calibration.marginal_gibbs:MarginalGibbs",
+        "nuts": "pmcl.calibration.nuts:NoUTurn",
         "andrews": "pmcl.calibration.andrews:TrajectorySets",
         "ekf": "pmcl.calibration.kalman:ExtendedKalman",
         "ukf": "pmcl.calibration.kalman:UnscentedKalman",

@@ -4,10 +4,10 @@
 method, labels its result and checks the calibrated model. A method is a class of its own, whose fields are its
 settings.
 
-Of the posterior: :class:`ParticleGibbs`, the paper's sampler, :class:`MarginalGibbs` and :class:`TrajectorySets`;
-:class:`Ensemble`, emcee's moves, and :class:`ParticleMetropolis`, plain and correlated, on the particle filter's
-evidence; :class:`ExtendedKalman` and :class:`UnscentedKalman`; :class:`LiuWest` and :class:`Storvik`, with parameters
-in the particles' state. Of one theta: :class:`ExpectationMaximisation`, :class:`OnlineOdometryBias`,
+Of the posterior: :class:`ParticleGibbs`, the paper's sampler, :class:`MarginalGibbs`, :class:`TrajectorySets` and
+:class:`NoUTurn`; :class:`Ensemble`, emcee's moves, and :class:`ParticleMetropolis`, plain and correlated, on the
+filter's evidence; :class:`ExtendedKalman` and :class:`UnscentedKalman`; :class:`LiuWest` and :class:`Storvik`, with
+parameters in the particles' state. Of one theta: :class:`ExpectationMaximisation`, :class:`OnlineOdometryBias`,
 :class:`MeanFunctions`, :class:`LeastSquares`, :class:`EvidenceOptimiser`, and for comparison :class:`PriorMean` and the
 oracle :class:`TrueResiduals`. Those that are exact only for some models say so.
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pmcl.calibration.liu_west import LiuWest
     from pmcl.calibration.marginal_gibbs import MarginalGibbs
     from pmcl.calibration.method import CalibrationMethod, Variant
+    from pmcl.calibration.nuts import NoUTurn
     from pmcl.calibration.optimiser import EvidenceOptimiser
     from pmcl.calibration.particle_gibbs import ParticleGibbs
     from pmcl.calibration.pmmh import ParticleMetropolis
@@ -60,6 +61,7 @@ __all__ = [
     "LiuWest",
     "MarginalGibbs",
     "MeanFunctions",
+    "NoUTurn",
     "OnlineOdometryBias",
     "ParticleGibbs",
     "ParticleMetropolis",
@@ -89,6 +91,7 @@ _HOMES = {
     "LiuWest": "pmcl.calibration.liu_west",
     "MarginalGibbs": "pmcl.calibration.marginal_gibbs",
     "MeanFunctions": "pmcl.calibration.stronger_stone",
+    "NoUTurn": "pmcl.calibration.nuts",
     "OnlineOdometryBias": "pmcl.calibration.roy_thrun",
     "ParticleGibbs": "pmcl.calibration.particle_gibbs",
     "ParticleMetropolis": "pmcl.calibration.pmmh",

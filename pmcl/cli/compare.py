@@ -43,6 +43,15 @@ __all__ = ["compare"]
     "--chains", type=click.IntRange(min=2), default=defaults.CHAINS, show_default=True,
     help="Number of chains.",
 )  # fmt: skip
+@click.option(
+    "--held-out",
+    type=click.FloatRange(0.0, 0.5),
+    default=0.25,
+    show_default=True,
+    metavar="SHARE",
+    help="Share of the log, at its end, that no method sees, and on which a filter with the mean of each is scored: "
+    "log score, and position error where the log has true poses. 0 holds nothing out.",
+)
 @map_option()
 @click.option("--model", "model_file", metavar="FILE.toml", help="Model file; without it the paper's model.")
 @effects_option()
@@ -57,6 +66,7 @@ def compare(
     output: Path,
     seconds: float,
     chains: int,
+    held_out: float,
     map_file: str | None,
     model_file: str | None,
     seed: int,
@@ -77,8 +87,10 @@ def compare(
 
     robot_log = RobotLog.read(log, map_file)
     model = read_model(model_file, robot_log) if model_file else None
-    progress = wants_progress(no_progress)
-    comparison = run(robot_log, compared, model, seconds=seconds, chains=chains, seed=seed, progress=progress)
+    comparison = run(
+        robot_log, compared, model, seconds=seconds, chains=chains, seed=seed, held_out=held_out,
+        progress=wants_progress(no_progress),
+    )  # fmt: skip
     write_comparison(comparison, output)
     judged = comparison_verdict(comparison)
     click.echo(comparison_text(comparison))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pmcl.calibration.particle_gibbs import ParticleGibbs
 from pmcl.checks import check_flag, check_number, check_seed, check_type, check_whole
 from pmcl.comparison.curves import Curve, Reference, learning_curve, reference_of
+from pmcl.comparison.held_out import HeldOut, held_out_worth, peak_memory
 from pmcl.comparison.methods import ComparedMethod, as_methods, draw
 from pmcl.errors import ModelError, PmclError, SamplingError
 from pmcl.interrupts import stopping_on_interrupt
@@ -53,6 +54,10 @@ class MethodResult:
         there is none).
     curve : Curve
         What its first draws gave, for growing numbers of them; the last point has all draws.
+    memory : float
+        By how much the process grew at most while it ran [MB]; NaN where the system does not tell.
+    held_out : HeldOut, optional
+        What its mean is worth on rows that it has not seen; None when no rows were held out.
     """
 
     method: ComparedMethod
@@ -64,6 +69,8 @@ class MethodResult:
     mean: Float
     sd: Float
     curve: Curve
+    memory: float = np.nan
+    held_out: HeldOut | None = None
 
     @property
     def ess_per_cpu_second(self) -> float:
@@ -103,6 +110,10 @@ class Comparison:
         Settings.
     failures : tuple of Failure
         Methods that could not start, or made no draw in their time.
+    held_out_rows : int
+        Rows at the end of the log that no method has seen.
+    reference_held_out : HeldOut, optional
+        What the mean of the reference is worth on them.
     """
 
     log: str
@@ -117,6 +128,8 @@ class Comparison:
     chains: int
     seed: int
     failures: tuple[Failure, ...] = ()
+    held_out_rows: int = 0
+    reference_held_out: HeldOut | None = None
 
     @property
     def converged(self) -> bool:
@@ -133,6 +146,7 @@ def compare(
     seconds: float = 60.0,
     chains: int = 4,
     seed: int = 0,
+    held_out: float = 0.0,
     progress: bool = False,
 ) -> Comparison:
     """Compare methods by what they reach in the same time.
@@ -154,6 +168,9 @@ def compare(
         Chains of each method, at least two.
     seed : int
         Seeds of all runs follow from it. How many draws fit into the time depends on the machine.
+    held_out : float
+        Share of the log, at its end, that neither methods nor reference see, up to 0.5. A filter with the mean of each
+        is then scored on it.
     progress : bool
         Show a progress bar for each method.
 
@@ -171,12 +188,23 @@ def compare(
     seconds = check_number("seconds", seconds, 0.0, unit="s", open_low=True, error=SamplingError, advice="60 is usual")
     chains = check_whole("chains", chains, 2, error=SamplingError, advice="4 are usual")
     seed = check_seed(seed, error=SamplingError)
+    advice = "0.25 is usual, 0 holds nothing out"
+    held_out = check_number("held_out", held_out, 0.0, 0.5, error=SamplingError, advice=advice)
     check_flag("progress", progress, error=SamplingError)
     if model is not None:
         check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
-    bound = (default_model(log) if model is None else model).bind(log)
+    whole, split = log, log.n_steps - round(held_out * log.n_steps)
+    if split < whole.n_steps:
+        log = whole.select(0, split)
+    model = default_model(whole) if model is None else model
+    bound = model.bind(log)
     known = log.true_theta or {}
     truth = np.array([known[name] for name in bound.names]) if set(bound.names) <= set(known) else None
+
+    def worth(theta: Float) -> HeldOut | None:
+        values = dict(zip(bound.names, theta.tolist(), strict=True))
+        return held_out_worth(whole, model, values, split, seed) if split < whole.n_steps else None
+
     first, *seeds = (int(s) for s in np.random.SeedSequence(seed).generate_state(1 + len(compared)))
     _compile(bound, compared)
     try:
@@ -188,11 +216,13 @@ def compare(
     results, failures = [], []
     for method, method_seed in zip(compared, seeds, strict=True):
         try:
-            found, clock = _timed(method, bound, chains, method_seed, seconds, str(method), progress)
+            with peak_memory() as peak:
+                found, clock = _timed(method, bound, chains, method_seed, seconds, str(method), progress)
         except PmclError as error:
             failures.append(Failure(method, str(error)))
             continue
-        results.append(_measured(method, found, clock, reference, truth))
+        measured = _measured(method, found, clock, reference, truth)
+        results.append(replace(measured, memory=peak.value, held_out=worth(measured.mean)))
     return Comparison(
         log=log.robot or log.where,
         names=bound.names,
@@ -206,6 +236,8 @@ def compare(
         chains=chains,
         seed=seed,
         failures=tuple(failures),
+        held_out_rows=whole.n_steps - split,
+        reference_held_out=worth(reference.mean),
     )
 
 

@@ -20,6 +20,8 @@ __all__ = [
     "comparison_text",
     "comparison_verdict",
     "expected_error",
+    "worth_note",
+    "worth_table",
     "write_comparison",
 ]
 
@@ -89,7 +91,7 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
         ("R-hat of the reference", f"{comparison.reference.r_hat:.4f}"),
         ("effective draws of the reference", f"{comparison.reference.ess:.0f}"),
     ]
-    table = comparison_table(comparison)
+    table, worth = comparison_table(comparison), worth_table(comparison)
     text = page(
         "comparison.html.j2",
         title="Methods compared",
@@ -97,6 +99,9 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
         verdict=comparison_verdict(comparison),
         table=table,
         is_short=lambda row, column: table.rows[row].short and column in table.checked,
+        worth=worth,
+        worth_note=worth_note(comparison),
+        worth_is_short=lambda row, column: worth.rows[row].short and column in worth.checked,
         pictures=pictures,
         methods=[(str(result.method), result.method.description) for result in comparison.results],
         settings=settings,
@@ -132,6 +137,35 @@ def comparison_table(comparison: Comparison) -> Table:
     for failure in comparison.failures:
         rows.append(Row((str(failure.method), "none", *("-" for _ in columns[2:])), True))
     return Table(tuple(columns), tuple(rows), (columns.index("R-hat"), columns.index("error")))
+
+
+def worth_table(comparison: Comparison) -> Table:
+    """Put what each method costs in memory, and what its mean is worth on held-out rows, into rows of text.
+
+    Parameters
+    ----------
+    comparison : Comparison
+
+    Returns
+    -------
+    Table
+        With a row for the reference where rows were held out. Marked: a log score that is worse than the reference's by
+        four standard deviations over the filter's seeds, or none because the robot was lost.
+    """
+    columns, rows = ["method", "MB"], []
+    found = [(str(result.method), result.memory, result.held_out) for result in comparison.results]
+    reference = comparison.reference_held_out
+    if reference is not None:
+        columns += ["log score", "chance", "position"]
+        found.append(("reference", np.nan, reference))
+    for name, memory, worth in found:
+        cells, short = [name, _number(memory, 0)], False
+        if worth is not None and reference is not None:
+            cells += [_number(worth.log_score, 3), _number(worth.log_score_error, 3), _number(worth.position_error, 4)]
+            chance = np.hypot(worth.log_score_error, reference.log_score_error)
+            short = not worth.log_score >= reference.log_score - _FAR * chance
+        rows.append(Row(tuple(cells), bool(short)))
+    return Table(tuple(columns), tuple(rows), (2,) if reference is not None else ())
 
 
 def expected_error(comparison: Comparison, result: MethodResult) -> float:
@@ -205,7 +239,8 @@ def comparison_verdict(comparison: Comparison) -> ComparisonVerdict:
 
 def comparison_text(comparison: Comparison) -> str:
     """Return the table as lines for the terminal, with what its columns mean; a star marks what misses a limit."""
-    return f"{aligned(comparison_table(comparison), left=1)}\n\n{column_note(comparison)}"
+    table, worth = aligned(comparison_table(comparison), left=1), aligned(worth_table(comparison), left=1)
+    return f"{table}\n\n{column_note(comparison)}\n\n{worth}\n\n{worth_note(comparison)}"
 
 
 def column_note(comparison: Comparison) -> str:
@@ -216,6 +251,17 @@ def column_note(comparison: Comparison) -> str:
         "parameter; ESS/s: for each CPU second after burn-in. error: distance of the mean from the",
         f"reference's; expected: what chance alone gives{truth}, in posterior sd.",
     ]
+    return "\n".join(lines)
+
+
+def worth_note(comparison: Comparison) -> str:
+    """Explain the columns of the second table, in lines of at most 100 characters."""
+    lines = ["MB: by how much the process grew at most."]
+    if comparison.held_out_rows:
+        lines += [
+            f"On the last {comparison.held_out_rows} rows, which no method saw, a filter with its mean: log score of a",
+            "row [nat], its standard error over the filter's seeds, and position error [m].",
+        ]
     return "\n".join(lines)
 
 

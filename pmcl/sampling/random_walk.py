@@ -319,6 +319,8 @@ def _first_state(kit: WalkKit, options: RunOptions, pool: Any) -> State:
 
 def _learnt_root(backend: StageBackend, root: Float, transform: Unconstrained) -> Float:
     """Return the root of the proposals' covariance from a finished stage, or the old one where it moved too little."""
+    if not backend.iteration:  # the time of the stage was over before its first step
+        return root
     thetas = backend.get_chain()[backend.window]
     d = thetas.shape[2]
     if np.any(np.diff(thetas, axis=0) != 0.0, axis=2).sum() < _LEAST_MOVES * d:

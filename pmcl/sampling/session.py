@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmcl.checks import check_memory
 from pmcl.errors import SamplingError
@@ -187,9 +188,12 @@ def collected(
         statistics={name: np.moveaxis(np.asarray(blobs[name], dtype=float), 0, 1) for name in statistics},
         trajectories=tuple(np.moveaxis(part, 0, 2) for part in by_log),
         trajectory_draw=np.arange(paths.shape[1], dtype=np.int64) * final.keep_every,
-        warmup_theta=np.moveaxis(np.concatenate([backend.get_chain() for backend in burn_in]), 0, 1),
-        warmup_log_joint=np.moveaxis(
-            np.concatenate([backend.get_blobs()["log_joint"] for backend in burn_in]), 0, 1
-        ),
+        warmup_theta=_joined([backend.get_chain() for backend in burn_in]),
+        warmup_log_joint=_joined([backend.get_blobs()["log_joint"] for backend in burn_in]),
         settings={**settings, "draws": int(final.iteration)},
     )
+
+
+def _joined(stages: Sequence[NDArray[np.float64]]) -> NDArray[np.float64] | None:
+    """Put stages one after the other and the chain first; None where a hurried run has no stage."""
+    return np.moveaxis(np.concatenate(stages), 0, 1) if stages else None

@@ -244,3 +244,16 @@ def test_a_robot_in_wean_hall_is_found_with_many_particles_and_better_foreseen_o
         for choice in ("nav2", "hand", "prior", "calibrated")
     }
     assert max(mean, key=mean.get) == "calibrated"
+
+
+@pytest.mark.long
+def test_methods_are_compared_and_cover_the_truth_as_they_say(small):
+    folder = small("method_comparison")
+    rows = {row["method"]: row for row in read(folder / "results.csv")}
+    assert list(rows) == ["conditional", "least-squares", "prior"]
+    assert all(not row["failure"] and float(row["position_error"]) > 0.0 for row in rows.values())
+    # The prior mean is farther from the reference than what particle Gibbs finds in a second.
+    assert float(rows["prior"]["error"]) > 2.0 * float(rows["conditional"]["error"])
+    covered = read(folder / "coverage.csv")
+    assert {row["seed"] for row in covered} == {"0", "1"}
+    assert all(0.0 <= float(row["share_below"]) <= 1.0 for row in covered if row["method"] == "conditional")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,16 @@ import pytest
 
 from pmcl.comparison.compare import Comparison, Failure, MethodResult, compare
 from pmcl.comparison.curves import learning_curve, reference_of
+from pmcl.comparison.held_out import HeldOut, held_out_worth, peak_memory
 from pmcl.comparison.methods import parse_methods
-from pmcl.reports.comparison_report import comparison_table, comparison_text, comparison_verdict, write_comparison
+from pmcl.localization import localize
+from pmcl.reports.comparison_report import (
+    comparison_table,
+    comparison_text,
+    comparison_verdict,
+    worth_table,
+    write_comparison,
+)
 from pmcl.simulations.amigobot import simulate_amigobot
 
 TRUTH = np.array([0.05, 0.3])
@@ -106,7 +115,7 @@ def test_without_truth_there_is_no_column_of_it(comparison, tmp_path):
 
 def test_real_methods_end_on_one_page(tmp_path):
     log = simulate_amigobot(20.0, seed=2)
-    made = compare(log, "conditional:8,plain:8,ensemble:20", seconds=0.5, chains=2, seed=1)
+    made = compare(log, "conditional:8,plain:8,ensemble:20", seconds=0.5, chains=2, seed=1, held_out=0.25)
     assert made.failures == ()
     assert [str(result.method) for result in made.results] == ["conditional:8", "plain:8", "ensemble:20"]
     assert made.names == ("sigma_forward", "sigma_left", "sigma_turn", "sigma_range")
@@ -116,6 +125,9 @@ def test_real_methods_end_on_one_page(tmp_path):
         assert 0.0 < result.burn_in < result.curve.wall[-1] <= result.seconds
         assert np.all(np.diff(result.curve.wall) > 0.0)
         assert np.isfinite(result.curve.error).all()
+        assert np.isfinite(result.held_out.log_score)
+        assert 0.0 < result.held_out.position_error < 5.0
+    assert made.held_out_rows == round(0.25 * log.n_steps)
     path = tmp_path / "page.html"
     write_comparison(made, path)
     text = path.read_text(encoding="utf-8")
@@ -126,3 +138,37 @@ def test_real_methods_end_on_one_page(tmp_path):
     assert len(pictures) == 2
     assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
     assert not re.search(r"https?://|@import|url\(|<script|<link", text)
+
+
+def test_what_a_mean_is_worth_tells_the_truth_from_a_wrong_theta():
+    """The negative control: readings are far less noisy than a filter with three times their noise believes."""
+    log = simulate_amigobot(60.0, seed=2)
+    split = log.n_steps // 2
+    right = held_out_worth(log, None, log.true_theta, split, 1)
+    wrong = held_out_worth(log, None, {**log.true_theta, "sigma_range": 5.0 * log.true_theta["sigma_range"]}, split, 1)
+    assert right.log_score > wrong.log_score + 8.0 * np.hypot(right.log_score_error, wrong.log_score_error)
+    track = localize(log, theta=log.true_theta, particles=500, seed=1)
+    assert abs(track.log_score[split:].mean() - right.log_score) < 8.0 * right.log_score_error
+
+
+def test_a_worse_log_score_is_marked(comparison):
+    scores = [HeldOut(-1.0, 0.01, 0.1), HeldOut(-1.5, 0.01, 0.2), HeldOut(np.nan, np.nan, np.nan)]
+    results = tuple(
+        replace(result, held_out=worth) for result, worth in zip(comparison.results, scores, strict=True)
+    )
+    held = replace(comparison, results=results, held_out_rows=20, reference_held_out=HeldOut(-1.01, 0.01, 0.1))
+    table = worth_table(held)
+    assert [row.short for row in table.rows] == [False, True, True, False]
+    assert table.rows[2].cells[2:] == ("-", "-", "-")
+    assert "last 20 rows" in comparison_text(held)
+    assert worth_table(comparison).columns == ("method", "MB")
+
+
+def test_the_growth_of_memory_is_seen():
+    with peak_memory() as peak:
+        block = np.ones(5_000_000)
+        time.sleep(0.2)
+        del block
+    if np.isnan(peak.value):
+        pytest.skip("this system does not tell the memory of a process")
+    assert 30.0 < peak.value < 80.0

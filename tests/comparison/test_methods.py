@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from oracles.random_walk_model import rail_log, rail_model
 
-import pmcl.sampling as sampling
-from pmcl.calibration import Ensemble, ParticleGibbs
+from pmcl.calibration import Ensemble, ParticleGibbs, ParticleMetropolis
 from pmcl.comparison.compare import compare
 from pmcl.comparison.curves import Reference, learning_curve, reference_of
 from pmcl.comparison.methods import parse_methods
 from pmcl.errors import SamplingError
+from pmcl.sampling import ensemble as sampling_ensemble
+from pmcl.sampling import move as sampling_move
+from pmcl.sampling import particle_target
 from pmcl.sampling.options import RunOptions
 from pmcl.sampling.stages import hurried_rate
 from pmcl.sampling.stopwatch import Stopwatch
@@ -80,7 +82,7 @@ class SimulatedTime:
 
     def __init__(self, monkeypatch, seconds):
         self.now, self.lock = 0.0, threading.Lock()
-        move, ensemble = sampling.move.step, sampling.ensemble.PseudoMarginalTarget.__call__
+        move, ensemble = sampling_move.step, sampling_ensemble.PseudoMarginalTarget.__call__
 
         def step(bound, settings, transport, transform, state, seed):
             new, info = move(bound, settings, transport, transform, state, seed)
@@ -91,8 +93,8 @@ class SimulatedTime:
             self.advance(seconds * this.particles * max(this.bound.lengths))
             return ensemble(this, theta)
 
-        monkeypatch.setattr(sampling.move, "step", step)
-        monkeypatch.setattr(sampling.ensemble.PseudoMarginalTarget, "__call__", target)
+        monkeypatch.setattr(sampling_move, "step", step)
+        monkeypatch.setattr(sampling_ensemble.PseudoMarginalTarget, "__call__", target)
 
     def advance(self, seconds):
         with self.lock:
@@ -161,6 +163,29 @@ def test_an_ensemble_keeps_its_time_too(rail, seconds, monkeypatch):
     clock.stop()
     assert clock.seconds == pytest.approx(seconds, rel=0.05)
     assert clock.wall[-made.n_draws - 1] <= 0.6 * seconds
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.5, 2.0, 6.0])
+def test_a_walk_in_a_hurry_ends_in_time_or_says_why(rail, seconds, monkeypatch):
+    """Also where the time of a stage of burn-in is over before its first step."""
+    time = SimulatedTime(monkeypatch, 0.0)
+    evidence = particle_target.ParticleTarget.__call__
+
+    def slow(this, theta, numbers):
+        time.advance(0.2)
+        return evidence(this, theta, numbers)
+
+    monkeypatch.setattr(particle_target.ParticleTarget, "__call__", slow)
+    clock = Stopwatch(seconds, clock=time)
+    method = ParticleMetropolis(particles=16, tuning_steps=(4, 4, 4))
+    options = RunOptions(draws=10**6, chains=2, seed=3, stopwatch=clock)
+    if seconds < 0.3:
+        with pytest.raises(SamplingError, match="the time was over before the first draw"):
+            method.run(rail, options)
+        return
+    made = method.run(rail, options)
+    assert np.isfinite(made.theta).all()
+    assert made.n_draws >= 1
 
 
 def test_the_rate_of_inclusion_follows_from_the_time_that_is_left():
