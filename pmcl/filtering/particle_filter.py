@@ -337,12 +337,12 @@ def draw_set(tables: Tables, path: Float, n_paths: int, n_particles: int, rng: n
             f"expected 2 to {MOST_EXCHANGEABLE} particles for a set of exchangeable trajectories, but got "
             f"{n_particles}; 25 are usual"
         )
-    paths = np.zeros((n_paths, *path.shape))
-    status, t = smc.draw_conditionally(tables, rng, n_particles, np.ascontiguousarray(path), paths)
-    if status == smc.ALL_ZERO:
+    try:
+        return draw_paths_beside(tables, path, n_particles, n_paths, rng)
+    except FilterError as error:
+        if error.row is None:  # no row is impossible, something else is wrong
+            raise
         return None
-    raise_outcome(status, t, "conditional set")
-    return paths
 
 
 def log_joint(tables: Tables, path: Float) -> float:

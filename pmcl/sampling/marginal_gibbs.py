@@ -27,10 +27,11 @@ from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.near_mode import NearMode
-from pmcl.sampling.path_walk import PathMove, PathStarter, path_dtype
+from pmcl.sampling.path_walk import PathStarter, path_dtype
 from pmcl.sampling.random_walk import WalkKit
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.walker_move import WalkerMove
 
 __all__ = ["marginal_gibbs_kit", "redraw_from_mixture"]
 
@@ -135,16 +136,16 @@ def _log_share(log_odds: Float) -> Float:
     return np.asarray(-np.logaddexp(0.0, -log_odds))
 
 
-class _MarginalMove(PathMove):
+class _MarginalMove(WalkerMove):
     """One sweep of marginal particle Gibbs for every walker."""
 
     def __init__(self, bound: BoundModel, particles: int, root: Float, gain: float) -> None:
         self.bound, self.particles, self.root, self.gain = bound, particles, root, gain
         self.transform = Unconstrained(bound.parameters)
 
-    def update(self, walker: tuple[Any, Any, int]) -> tuple[Any, float, Any]:
-        """Return (theta, log_prob, blob) of one walker after a sweep, given (theta, blob, seed)."""
-        theta, old, seed = walker
+    def update(self, walker: tuple[int, Any, Any, int]) -> tuple[Any, float, Any]:
+        """Return (theta, log_prob, blob) of one walker after a sweep, given (number, theta, blob, seed)."""
+        _, theta, old, seed = walker
         check_interrupt()
         rng, bound, blob = make_rng(np.random.SeedSequence(seed)), self.bound, old.copy()
         u = self.transform.to_line(theta)

@@ -5,10 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from emcee.moves import Move
-from emcee.state import State
-
 from pmcl.checks import check_type
 from pmcl.errors import SamplingError
 from pmcl.models.robot_model import BoundModel
@@ -16,16 +12,15 @@ from pmcl.sampling.state import blob_dtype, from_blob, into_blob, state_dimensio
 from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Transport
+from pmcl.sampling.walker_move import WalkerMove
 
 __all__ = ["ParticleGibbsMove"]
 
 
-class ParticleGibbsMove(Move):  # type: ignore[misc]
+class ParticleGibbsMove(WalkerMove):
     """Table 1 of Kaboli, Bowling, Musilek (2006) for every walker of an emcee ensemble.
 
-    The trajectory and the tuning of a walker travel in its blob, and all randomness comes from seeds that emcee's own
-    generator gives out, one per walker and step: what happens does not depend on the pool, and an
-    emcee backend holds everything that a resumed run needs.
+    The trajectory and the tuning of a walker travel in its blob.
 
     Parameters
     ----------
@@ -67,30 +62,3 @@ class ParticleGibbsMove(Move):  # type: ignore[misc]
         transport = self.transports[number] if self.transports is not None else None
         state, info = step(self.bound, self.settings, transport, self.transform, from_blob(theta, blob), seed)
         return state.theta, state.log_joint, into_blob(state, info, self.dtype)
-
-    def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Advance all walkers by one step.
-
-        Parameters
-        ----------
-        model : emcee.model.Model
-            Its `map_fn` runs the walkers, its `random` seeds them.
-        state : emcee.State
-            With log_prob and blobs.
-
-        Returns
-        -------
-        state : emcee.State
-            The new state.
-        accepted : ndarray of bool, shape (K,)
-            Whether theta changed.
-        """
-        n_walkers = state.coords.shape[0]
-        seeds = model.random.randint(0, 2**62, size=n_walkers, dtype=np.int64)
-        work = [(k, state.coords[k], state.blobs[k], int(seeds[k])) for k in range(n_walkers)]
-        results = list(model.map_fn(self.update, work))
-        coords = np.array([result[0] for result in results])
-        blobs = np.array([result[2] for result in results], dtype=self.dtype)
-        accepted = np.any(coords != state.coords, axis=1)
-        log_prob = np.array([result[1] for result in results])
-        return State(coords, log_prob=log_prob, blobs=blobs, random_state=model.random.get_state()), accepted

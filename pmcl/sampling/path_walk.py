@@ -1,4 +1,4 @@
-"""What chains share that carry a path with theta and propose theta by an adapted random walk: start, blob and step."""
+"""What chains share that carry a path with theta and propose theta by an adapted random walk: start and blob."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from emcee.moves import Move
-from emcee.state import State
 from numpy.typing import NDArray
 
 from pmcl.errors import FilterError, ModelError
@@ -20,7 +18,7 @@ from pmcl.sampling.state import state_dimension
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["PathMove", "PathStarter", "path_dtype"]
+__all__ = ["PathStarter", "path_dtype"]
 
 Float = NDArray[np.float64]
 
@@ -40,25 +38,6 @@ def path_dtype(bound: BoundModel, fields: Sequence[str]) -> np.dtype[Any]:
     """
     numbers: list[Any] = [(name, np.float64) for name in (*fields, "log_scale")]
     return np.dtype([("path", np.float64, (sum(bound.lengths), state_dimension(bound))), *numbers])
-
-
-class PathMove(Move):  # type: ignore[misc]
-    """A sweep for every walker by itself; all randomness comes from seeds that emcee's own generator gives out."""
-
-    def update(self, walker: tuple[Any, Any, int]) -> tuple[Any, float, Any]:
-        """Return (theta, log_prob, blob) of one walker after a sweep, given (theta, blob, seed)."""
-        raise NotImplementedError
-
-    def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Advance all walkers, see :meth:`pmcl.sampling.move.ParticleGibbsMove.propose`."""
-        seeds = model.random.randint(0, 2**62, size=state.coords.shape[0], dtype=np.int64)
-        work = list(zip(state.coords, state.blobs, (int(seed) for seed in seeds), strict=True))
-        results = list(model.map_fn(self.update, work))
-        coords = np.array([result[0] for result in results])
-        blobs = np.array([result[2] for result in results], dtype=state.blobs.dtype)
-        log_prob = np.array([result[1] for result in results])
-        accepted = np.any(coords != state.coords, axis=1)
-        return State(coords, log_prob=log_prob, blobs=blobs, random_state=model.random.get_state()), accepted
 
 
 class PathStarter:

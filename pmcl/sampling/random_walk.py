@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from emcee.moves import Move
 from emcee.state import State
 from numpy.typing import NDArray
 
@@ -32,6 +31,7 @@ from pmcl.sampling.session import collected, run_session
 from pmcl.sampling.stages import BURN_IN_SHARE
 from pmcl.sampling.state import state_dimension
 from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.walker_move import WalkerMove
 
 __all__ = ["Evaluated", "EvidenceTarget", "WalkKit", "WalkPlan", "draw_near", "no_start", "run_random_walk", "run_walk"]
 
@@ -97,16 +97,16 @@ class WalkPlan(NamedTuple):
 _FIELDS = ("log_joint", "log_evidence", "acceptance_rate")
 
 
-class _WalkMove(Move):  # type: ignore[misc]
-    """Some proposals for every walker; all randomness comes from seeds that emcee's own generator gives out."""
+class _WalkMove(WalkerMove):
+    """Some proposals for every walker."""
 
     def __init__(self, target: EvidenceTarget, plan: WalkPlan, root: Float, gain: float) -> None:
         self.target, self.plan, self.root, self.gain = target, plan, root, gain
         self.transform = Unconstrained(target.bound.parameters)
 
-    def update(self, walker: tuple[Any, Any, int]) -> tuple[Any, float, Any]:
-        """Return (theta, log_prob, blob) of one walker after the proposals, given (theta, blob, seed)."""
-        theta, old, seed = walker
+    def update(self, walker: tuple[int, Any, Any, int]) -> tuple[Any, float, Any]:
+        """Return (theta, log_prob, blob) of one walker after the proposals, given (number, theta, blob, seed)."""
+        _, theta, old, seed = walker
         check_interrupt()
         rng, bound, blob = make_rng(np.random.SeedSequence(seed)), self.target.bound, old.copy()
         u = self.transform.to_line(theta)
@@ -137,17 +137,6 @@ class _WalkMove(Move):  # type: ignore[misc]
             blob["log_joint"], blob["log_evidence"] = joint + log_prior, log_evidence
         blob["acceptance_rate"] = moved / self.plan.proposals
         return theta, log_prior + log_evidence, blob
-
-    def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Advance all walkers, see :meth:`pmcl.sampling.move.ParticleGibbsMove.propose`."""
-        seeds = model.random.randint(0, 2**62, size=state.coords.shape[0], dtype=np.int64)
-        work = list(zip(state.coords, state.blobs, (int(seed) for seed in seeds), strict=True))
-        results = list(model.map_fn(self.update, work))
-        coords = np.array([result[0] for result in results])
-        blobs = np.array([result[2] for result in results], dtype=state.blobs.dtype)
-        log_prob = np.array([result[1] for result in results])
-        accepted = np.any(coords != state.coords, axis=1)
-        return State(coords, log_prob=log_prob, blobs=blobs, random_state=model.random.get_state()), accepted
 
 
 def draw_near(near: NearMode, transform: Unconstrained, rng: np.random.Generator) -> Iterator[Float]:

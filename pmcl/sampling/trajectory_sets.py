@@ -34,10 +34,11 @@ from pmcl.filtering.particle_filter import draw_set, log_joint, make_rng, update
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.near_mode import NearMode
-from pmcl.sampling.path_walk import PathMove, PathStarter, path_dtype
+from pmcl.sampling.path_walk import PathStarter, path_dtype
 from pmcl.sampling.random_walk import WalkKit
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.walker_move import WalkerMove
 
 __all__ = ["Exchanged", "exchange", "trajectory_set_kit"]
 
@@ -131,16 +132,16 @@ def exchange(
     return Exchanged(-log_mean if math.isfinite(log_mean) else -math.inf, candidates[0])
 
 
-class _SetMove(PathMove):
+class _SetMove(WalkerMove):
     """One sweep for every walker: conditional SMC for the trajectory at theta, then a proposal of theta with a set."""
 
     def __init__(self, bound: BoundModel, set_size: int, particles: int, root: Float, gain: float) -> None:
         self.bound, self.set_size, self.particles, self.root, self.gain = bound, set_size, particles, root, gain
         self.transform = Unconstrained(bound.parameters)
 
-    def update(self, walker: tuple[Any, Any, int]) -> tuple[Any, float, Any]:
-        """Return (theta, log_prob, blob) of one walker after a sweep, given (theta, blob, seed)."""
-        theta, old, seed = walker
+    def update(self, walker: tuple[int, Any, Any, int]) -> tuple[Any, float, Any]:
+        """Return (theta, log_prob, blob) of one walker after a sweep, given (number, theta, blob, seed)."""
+        _, theta, old, seed = walker
         check_interrupt()
         rng, bound, blob = make_rng(np.random.SeedSequence(seed)), self.bound, old.copy()
         path, rows = blob["path"].copy(), max(bound.lengths)

@@ -105,7 +105,7 @@ def test_one_sweep_leaves_exact_draws_as_they_are(longer, exact, wrong, monkeypa
     for seed, (theta, path) in enumerate(_posterior_draws(longer, 3000, 7)):
         blob = np.zeros((), dtype=dtype)
         blob["path"] = path[:, None]
-        new, _, _ = move.update((theta, blob, seed))
+        new, _, _ = move.update((0, theta, blob, seed))
         changes.append(_features(new, exact) - _features(theta, exact))
     changes = np.array(changes)
     error = changes.std(axis=0) / np.sqrt(len(changes))

@@ -30,7 +30,6 @@ __all__ = [
     "NOT_A_NUMBER",
     "NO_ANCESTOR",
     "conditional_pass",
-    "draw_conditionally",
     "filter_pass",
     "joint_logpdf",
     "joint_terms",
@@ -80,29 +79,3 @@ def redraw_path(tables, rng, n_steps, n, conditional, path):
             effective += steps[s, 1]
             measured += 1
     return FINE, 0, log_evidence, effective / max(measured, 1), changed
-
-
-@entry
-def draw_conditionally(tables, rng, n, path, paths):
-    """Fill `paths` (M, T, D) with trajectories of one conditional SMC pass that keeps `path` (T, D).
-
-    Returns (status, row). Given the particles of the pass all are independent and have one law. With at most WEIGHED
-    particles that is also the law of `path` itself among them, when it came from the posterior: then every particle is
-    weighed for each state.
-    """
-    n_steps, size = path.shape
-    steps, scratch = np.empty((n_steps, 2)), np.empty((work_rows(tables), n))
-    history = History(np.empty((n_steps, size, n)), np.empty((n_steps, n)), np.empty((n_steps, n), np.uint32))
-    arrays = FilterWork(history, steps, np.empty((size, n)), scratch)
-    status, t, _ = forward(tables, rng, n_steps, Independent(1), 1.0, True, path, AllAtOnce(0.0), arrays)
-    if status != FINE:
-        return status, t
-    count = min(n, WEIGHED)
-    workspace = BackwardWork(
-        scratch[0], np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
-    )
-    for k in range(paths.shape[0]):
-        status, t, _ = backward(tables, rng, n_steps, history, paths[k], workspace)
-        if status != FINE:
-            return status, t
-    return FINE, 0
