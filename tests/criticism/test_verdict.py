@@ -83,6 +83,18 @@ def test_a_finding_says_how_probable_it_is():
     assert told[np.nan].endswith("(beam-bias)")
 
 
+def test_what_looks_alike_is_not_called_undecided_when_it_is_improbable():
+    log = sonar_log()
+    bias = found(BY_NAME["range-bias"], [0.05], ("range-scale", "beam-bias (beam 2)"))
+    sure = replace(bias, probability=0.97, alternatives=(Alternative("beam-bias", {"beams": (2,)}, 0.03),))
+    assert finding_of(sure, log).endswith(
+        "(range-bias, probability 97 %; this log cannot tell it from beam-bias (beam 2); "
+        "range-scale would look much alike)"
+    )
+    undecided = "(range-bias; this log cannot tell it from range-scale or beam-bias (beam 2))"
+    assert finding_of(bias, log).endswith(undecided)
+
+
 def test_the_json_file_holds_the_probabilities():
     effect = replace(
         found(BY_NAME["range-bias"], [0.05]), probability=0.7,

@@ -11,8 +11,8 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
-    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "as_percentage", "channels_of", "finding_of", "sentence_of",
-    "verdict_of", "with_place",
+    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "as_percentage", "channels_of", "finding_of", "likeness_of",
+    "sentence_of", "verdict_of", "with_place",
 ]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
@@ -150,8 +150,7 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
     log : RobotLog
         The log; its landmarks are named as in it.
     """
-    twins = effect.not_distinguishable_from
-    alike = f"; this log cannot tell it from {' or '.join(twins)}" if twins else ""
+    alike = "".join(f"; {text}" for text in likeness_of(effect))
     probability = as_percentage(effect.probability)
     if probability:
         alike = f", probability {probability}{alike}"
@@ -160,6 +159,32 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
         return f"{with_place(effect)}: {effect.summary.rstrip('.')} ({numbers}{alike})"
     places = {kind: _as_text(values, kind, log) for kind, values in effect.where.items()}
     return f"{effect.finding.format(*effect.parameters.values(), **places)} ({effect.name}{alike})"
+
+
+def likeness_of(effect: FoundEffect) -> tuple[str, ...]:
+    """Say which effects the log cannot tell from one that was found, and which only look much alike.
+
+    An effect that predicts nearly as well may still be improbable: a hundredth of a long log's gain is many nats.
+
+    Parameters
+    ----------
+    effect : FoundEffect
+        The accepted effect.
+
+    Returns
+    -------
+    tuple of str
+        No, one or two clauses.
+    """
+    possible = {with_place(other) for other in effect.alternatives}
+    twins = effect.not_distinguishable_from
+    unsure = [twin for twin in twins if math.isnan(effect.probability) or twin in possible]
+    clauses = []
+    if unsure:
+        clauses.append(f"this log cannot tell it from {' or '.join(unsure)}")
+    if alike := [twin for twin in twins if twin not in unsure]:
+        clauses.append(f"{' and '.join(alike)} would look much alike")
+    return tuple(clauses)
 
 
 def as_percentage(probability: float) -> str:
