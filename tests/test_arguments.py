@@ -151,7 +151,7 @@ OPTIONS = {
 }  # fmt: skip
 COMPARE = {
     "log": nothing, "methods": nothing, "model": none, "seconds": real(0.0, math.inf, open_low=True),
-    "chains": whole(2), "seed": seed, "progress": flag,
+    "chains": whole(2), "seed": seed, "held_out": real(0.0, 0.5), "progress": flag,
 }  # fmt: skip
 SIMULATE = {
     "duration": real(2.0, 1e9), "seed": seed,

@@ -15,7 +15,7 @@ from pmcl.checks import check_flag, check_number, check_seed, check_type, check_
 from pmcl.comparison.curves import Curve, Reference, learning_curve, reference_of
 from pmcl.comparison.held_out import HeldOut, held_out_worth, peak_memory
 from pmcl.comparison.methods import ComparedMethod, as_methods, draw
-from pmcl.errors import ModelError, PmclError, SamplingError
+from pmcl.errors import LogError, ModelError, PmclError, SamplingError
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import BoundModel, RobotModel, default_model
@@ -191,6 +191,7 @@ def compare(
     advice = "0.25 is usual, 0 holds nothing out"
     held_out = check_number("held_out", held_out, 0.0, 0.5, error=SamplingError, advice=advice)
     check_flag("progress", progress, error=SamplingError)
+    check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     if model is not None:
         check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")
     whole, split = log, log.n_steps - round(held_out * log.n_steps)
