@@ -19,7 +19,7 @@ _HEADERS = 2**20
 
 @contextmanager
 def replacing(
-    path: str | os.PathLike[str], *, n_bytes: int = 0, error: type[PmclError] = PosteriorError
+    path: str | os.PathLike[str], *, n_bytes: int = 0, keep: bool = True, error: type[PmclError] = PosteriorError
 ) -> Iterator[Path]:
     """Yield a temporary file name beside `path`; the file takes the place of `path` when no error occurs.
 
@@ -30,6 +30,8 @@ def replacing(
     n_bytes : int
         About how large the file will be [byte]. So much space is asked for before anything is written, since HDF5
         crashes where the disk gets full.
+    keep : bool
+        Whether the file takes the place of `path`; otherwise writing is only tried, and the file removed.
     error : type of PmclError
         The error to raise.
 
@@ -51,8 +53,9 @@ def replacing(
         yield temporary
         with open(temporary, "rb") as stream:
             os.fsync(stream.fileno())
-        temporary.replace(target)
-        _keep_name(target.parent)
+        if keep:
+            temporary.replace(target)
+            _keep_name(target.parent)
     except OSError as problem:
         raise error(
             f"expected a place to write {path}, got {problem.strerror or problem}: check that the folder exists, "

@@ -44,6 +44,7 @@ FULL_DISK = """
 import logging, resource, sys
 import numpy as np
 import pmcl
+from pmcl.calibration import workflow
 from pmcl.errors import PmclError
 from pmcl.sampling import checkpoint
 
@@ -54,14 +55,27 @@ method = pmcl.ParticleGibbs(particles=4, burn_in_particles=20, data_rate=200, se
 data = pmcl.calibrate(log, method=method, draws=20, chains=2, seed=1)
 log.write(f"{folder}/log.nc")
 pmcl.write_posterior(data, f"{folder}/posterior.nc")
-# From here on no file may have more than 20 kB.
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 checkpoint._LEAST_PAUSE = 0.0
+
+
+def fill(*_):
+    # No file may have more than 20 kB from here on.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+
+
+def fills_later():
+    # The disk gets full after a posterior could be written as a trial.
+    workflow.rehearse = fill
+    return pmcl.calibrate(log, method=method, draws=20, chains=2, seed=1, checkpoint=f"{folder}/run.h5")
+
+
+fill()
 for write in (
     lambda: log.write(f"{folder}/log.nc"),
     lambda: pmcl.write_posterior(data, f"{folder}/posterior.nc"),
     lambda: pmcl.localize(log, method="prior", seed=1).write(f"{folder}/track.nc"),
     lambda: pmcl.calibrate(log, method=method, draws=20, chains=2, seed=1, checkpoint=f"{folder}/run.h5"),
+    fills_later,
 ):
     try:
         result = write()
@@ -81,10 +95,11 @@ def test_a_full_disk_costs_no_results(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     refused = [line for line in done.stdout.splitlines() if line.startswith("refused")]
-    assert len(refused) == 3
-    for line, name in zip(refused, ("log.nc", "posterior.nc", "track.nc"), strict=True):
+    assert len(refused) == 4
+    for line, name in zip(refused, ("log.nc", "posterior.nc", "track.nc", "run.h5"), strict=True):
         assert name in line
         assert "has space" in line
+    assert "nothing was sampled yet" in refused[3]
     assert "run.h5: the checkpoint could not be written" in done.stdout
     assert "finished: True" in done.stdout
     assert sorted(os.listdir(tmp_path)) == ["log.nc", "posterior.nc"]

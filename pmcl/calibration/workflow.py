@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from pmcl import defaults
@@ -110,8 +109,7 @@ def calibrate(
     # Plausible mistakes in the logs are warned of before sampling, and stay with the result.
     attributes = {"model": _model_text(bound), "preflight": checked_logs(bound.logs, model)}
     options = dataclasses.replace(options, attributes=attributes)
-    folder = None if options.checkpoint is None else Path(os.path.realpath(options.checkpoint)).parent
-    rehearse(bound.parameters, bound.logs, attributes, folder)
+    rehearse(bound.parameters, bound.logs, attributes, options.checkpoint)
     result = method.run(bound, options)
     try:
         data = to_arviz(result, bound.parameters, bound.logs)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import secrets
+import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pmcl.errors import PmclError, PosteriorError
-from pmcl.posterior.compat import assemble, find_group
+from pmcl.posterior.compat import assemble, find_group, save_netcdf, size_of
 from pmcl.posterior.convert import ParameterLike, to_arviz
 from pmcl.posterior.diagnostics import verdict
-from pmcl.posterior.files import write_posterior
 from pmcl.posterior.log_groups import LogLike
 from pmcl.sampling.chains import Chains
+from pmcl.whole_file import replacing
 
 __all__ = ["rehearse"]
 
@@ -29,7 +28,7 @@ def rehearse(
     parameters: Sequence[ParameterLike],
     logs: Sequence[LogLike],
     attributes: Mapping[str, Any],
-    folder: Path | None = None,
+    place: str | os.PathLike[str] | None = None,
 ) -> None:
     """Convert, judge and write a handful of made-up draws, and forget them.
 
@@ -41,8 +40,8 @@ def rehearse(
         Its logs; what else they hold goes into the posterior too.
     attributes : mapping of str to scalar
         Attributes that the posterior will have.
-    folder : Path, optional
-        Where the posterior is written and removed again; it is not written when left out.
+    place : path-like, optional
+        A file, beside which the posterior is written and removed again; it is not written when left out.
 
     Raises
     ------
@@ -52,13 +51,10 @@ def rehearse(
     try:
         data = to_arviz(_made_up(parameters, logs, attributes), parameters, logs, prior_draws=_DRAWS)
         verdict(data)
-        if folder is not None:
-            rehearsed = folder / f".{secrets.token_hex(4)}.rehearsal"  # two runs may use one folder
-            try:
-                groups = {name: find_group(data, name) for name in _WRITTEN}
-                write_posterior(assemble(groups, dict(attributes)), rehearsed)
-            finally:
-                rehearsed.unlink(missing_ok=True)
+        if place is not None:
+            written = assemble({name: find_group(data, name) for name in _WRITTEN}, dict(attributes))
+            with replacing(place, n_bytes=size_of(written), keep=False) as temporary:
+                save_netcdf(written, temporary)
     except Exception as error:  # whatever a broken installation raises
         raise PosteriorError(
             "expected that draws can be made a posterior and written, which is tried before sampling, got "

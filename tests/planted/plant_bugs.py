@@ -146,7 +146,7 @@ BUGS = [
     Bug("a truth on which logs differ is kept", "posterior/log_groups.py", "if len(values) == 1}", "}",
         "posterior/test_convert.py", "test_truth_on_which_logs_differ"),
     Bug("a rehearsal is skipped", "calibration/workflow.py",
-        "    rehearse(bound.parameters, bound.logs, attributes, folder)\n", "",
+        "    rehearse(bound.parameters, bound.logs, attributes, options.checkpoint)\n", "",
         "posterior/test_rehearsal.py", "test_calibrate_rehearses"),
     Bug("an error of the conversion loses the draws", "calibration/workflow.py",
         "nothing is lost, {kept}\",\n        result,", "nothing is lost, {kept}\",\n        None,",

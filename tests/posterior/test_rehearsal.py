@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -19,6 +20,7 @@ from pmcl.posterior import rehearsal
 from pmcl.posterior.files import read_posterior
 from pmcl.posterior.rehearsal import rehearse
 from pmcl.simulations.landmark_field import simulate_landmark_field
+from pmcl.whole_file import remove_rests
 
 QUICK = pmcl.ParticleGibbs(
     particles=5, burn_in_particles=20, data_rate=100, settling_sweeps=2, tuning_sweeps=(4,), transport_moves=0
@@ -35,18 +37,27 @@ def case():
 
 
 def test_a_rehearsal_leaves_nothing(case, tmp_path):
-    rehearse(case.parameters, case.logs, {"model": "text"}, tmp_path)
+    rehearse(case.parameters, case.logs, {"model": "text"}, tmp_path / "run.h5")
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("step", ["to_arviz", "verdict", "write_posterior"])
+def test_what_a_killed_rehearsal_leaves_is_removed_with_the_rests_of_its_run(case, tmp_path, monkeypatch):
+    place = tmp_path / "run.h5"
+    monkeypatch.setattr(rehearsal, "save_netcdf", lambda data, path: shutil.copy(path, f"{path}.part"))
+    rehearse(case.parameters, case.logs, {}, place)
+    assert len(os.listdir(tmp_path)) == 1
+    remove_rests(place)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("step", ["to_arviz", "verdict", "save_netcdf"])
 def test_whatever_fails_is_told_in_one_line_before_sampling(step, case, tmp_path, monkeypatch):
     def fail(*given, **named):
         raise ImportError("libhdf5.so: cannot open\nshared object file")
 
     monkeypatch.setattr(rehearsal, step, fail)
     with pytest.raises(PosteriorError, match=r"got ImportError: libhdf5\.so: .* nothing was sampled yet") as told:
-        rehearse(case.parameters, case.logs, {}, tmp_path)
+        rehearse(case.parameters, case.logs, {}, tmp_path / "run.h5")
     assert "\n" not in str(told.value)
     assert os.listdir(tmp_path) == []
 
@@ -55,7 +66,7 @@ def test_a_setting_that_no_file_can_hold_is_found(case, tmp_path):
     with pytest.raises(PosteriorError, match="store it as text"):
         rehearse(case.parameters, case.logs, {"odd": [1, 2]})
     with pytest.raises(PosteriorError, match="surrogates"):
-        rehearse(case.parameters, case.logs, {"model": "no UTF-8: \udcff"}, tmp_path)
+        rehearse(case.parameters, case.logs, {"model": "no UTF-8: \udcff"}, tmp_path / "run.h5")
 
 
 def test_calibrate_rehearses_before_it_samples(tmp_path, monkeypatch):
@@ -66,7 +77,7 @@ def test_calibrate_rehearses_before_it_samples(tmp_path, monkeypatch):
     def fail(*given, **named):
         raise OSError("no place")
 
-    monkeypatch.setattr(rehearsal, "write_posterior", fail)
+    monkeypatch.setattr(rehearsal, "save_netcdf", fail)
     with pytest.raises(PosteriorError, match="nothing was sampled yet"):
         workflow.calibrate(simulate_landmark_field(20, 1), checkpoint=tmp_path / "run.h5")
     assert os.listdir(tmp_path) == []
@@ -123,6 +134,7 @@ data = to_arviz(case.chains, case.parameters, case.logs)
 verdict(data)
 write_posterior(data, sys.argv[1])
 import os
+import shutil
 assert os.environ.get("XDG_CACHE_HOME") is None
 """
 
@@ -149,4 +161,4 @@ def test_a_home_that_cannot_be_written_is_no_matter(tmp_path):
 def test_a_foreign_name_of_a_log_does_not_stop_the_rehearsal(case, tmp_path):
     dataset = case.logs[0].dataset.assign(prior_grid=("prior_point", np.zeros(3)), extra=("parameter", np.zeros(2)))
     odd = type(case.logs[0])(dataset, None, "odd")
-    rehearse(case.parameters, [odd], {}, tmp_path)
+    rehearse(case.parameters, [odd], {}, tmp_path / "run.h5")

@@ -135,6 +135,17 @@ def test_one_call_does_what_its_parts_do(amigobot, rng):
         np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("distance", [1e10, 1e43, 1e200])
+def test_a_path_that_is_carried_too_far_is_impossible(amigobot, distance):
+    """Far out the kernels' sine is no number: such a density would end the run."""
+    bound, reference, transport = amigobot
+    tables, now = bound.tables(THETA)[0], _factors(bound, THETA, transport)
+    far = reference + distance
+    assert transport_trial(tables, transport.geometries[0], reference, far, *now[1:])[0] == -np.inf
+    near = transport_trial(tables, transport.geometries[0], reference, reference, *now[1:])
+    assert np.isfinite(near[0])
+
+
 @pytest.mark.parametrize("which", ["rail", "amigobot"])
 def test_what_moves_return_belongs_together(which, rail, amigobot, rng):
     """After many moves the returned joint density is that of the returned parameters and path."""

@@ -16,9 +16,9 @@ from pmcl.filtering.kernels.forward import work_rows
 
 __all__ = ["Factors", "carry", "factorise", "refresh_blocks", "transport_trial"]
 
-# A path that a nearly singular factorisation carries further than this [m or rad] is impossible. Squares of its states
-# would overflow, so that its density is no number.
-_FARTHEST = 1e100
+# A path that a nearly singular factorisation carries further than this [m or rad] is impossible: the Earth is 4e7 m
+# around. Beyond 1e15 rad the kernels' sine is no number, and with it the path's density.
+_FARTHEST = 1e9
 
 
 @kernel
