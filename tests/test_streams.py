@@ -25,6 +25,6 @@ def test_refits_of_one_run_do_not_use_the_seed_of_another():
     """Refits of seed 0 had the seed 100, and those of a run with seed 100 began where the fit of seed 100 began."""
     seeds = []
     for seed in range(250):
-        refits = Refits(None, Settings(100, seed, 0.05, 30, 5, 1, False), 10)
+        refits = Refits(None, Settings(100, seed, 0.05, 30, 5, 1, False))
         seeds += [seed, refits.seed, *(stream_seed(seed, "fit of the whole log", number) for number in range(4))]
     assert len(set(seeds)) == len(seeds)

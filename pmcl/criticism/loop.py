@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmcl.calibration.particle_gibbs import ParticleGibbs
 from pmcl.calibration.workflow import calibrate
@@ -24,43 +23,28 @@ from pmcl.criticism.findings.parts import FoundEffect, Step
 from pmcl.criticism.findings.result import Criticism, JudgedFit
 from pmcl.criticism.findings.verdict import sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
-from pmcl.criticism.fitting.held_out import gap_of
+from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
-from pmcl.criticism.fitting.trials import Trial, spare_effects
+from pmcl.criticism.fitting.spare_effects import without_spare_effects
+from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging.judged_log import in_doubt
-from pmcl.criticism.naming.choice import twins_of
 from pmcl.criticism.naming.lost_robot import Recovery
-from pmcl.criticism.naming.probability import (
-    Explanations,
-    explanations,
-    nothing_without_refits,
-    with_probabilities,
-)
-from pmcl.criticism.naming.search import FIT_SHARE, LATE_FIT_SHARE, Outcome, Search
+from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
+from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.settings import FINER, Settings
 from pmcl.errors import FilterError
 from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimates
-from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
-from pmcl.filtering.particle_filter import make_rng
+from pmcl.filtering.paired_scores import Gain, paired_gain
 from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
-from pmcl.streams import stream, stream_seed
+from pmcl.streams import stream_seed
 
 __all__ = ["Loop"]
 
-Float = NDArray[np.float64]
-
 # Parameters of effects cost a density of the whole log for each proposal, and transport moves change them as well.
 _METROPOLIS_STEPS = 2
-
-
-class _Searched(NamedTuple):
-    """The result of a search, and the current model that its trials are compared with."""
-
-    outcome: Outcome
-    current: Trial
 
 
 class Loop:
@@ -81,8 +65,10 @@ class Loop:
         The models so far.
     found : list of FoundEffect
         Accepted effects that the current model has.
-    predictions : list of (Predictions, ndarray)
-        Predictions of each step's model with their PITs, from which the gaps are computed at the end.
+    split : int
+        First row of the held-out part, on which gaps are shown.
+    held_out : HeldOut or None
+        How the last step's model predicts it.
     nothing_probability : float
         Posterior probability that the base model lacks nothing; NaN where its filter loses the robot.
     """
@@ -92,7 +78,8 @@ class Loop:
         self.notes: list[str] = []
         self.steps: list[Step] = []
         self.found: list[FoundEffect] = []
-        self.predictions: list[tuple[Predictions, Float]] = []
+        self.split = round((1.0 - HELD_OUT_SHARE) * self.log.n_steps)
+        self.held_out: HeldOut | None = None
         self.nothing_probability = np.nan
 
     @property
@@ -121,10 +108,8 @@ class Loop:
         recovery = self._recovery(fit)
         first = last = self.search.judge(fit)
         self._note_single_channel(last)
-        current: Trial | None = None
         if recovery is not None:
-            current = self._add_recovery(last, recovery)
-            last = self._refit(last, current, rounds)
+            last = self._add_recovery(last, recovery)
         else:
             self.nothing_probability = nothing_without_refits(first.judgement, self.search.directions)
         for number in range(int(recovery is not None), rounds + 1):
@@ -132,37 +117,33 @@ class Loop:
                 last = self.search.judge_again(last)
                 first = first if self.found else last
             alarms = last.judgement.raised
-            shown = self.search.effect_shown_by_data(last) if number < rounds else None
+            current = self.search.refits.base_trial(last.fit)
+            shown = self.search.effect_shown_by_data(last, current) if number < rounds else None
             if shown is not None:
                 self.nothing_probability = self.nothing_probability if self.found else 0.0
-                current = self._accept(last, shown, "add {}: the data show it")
-                last = self._refit(last, current, number)
+                last = self._accept(last, shown, "add {}: the data show it")
                 continue
             if not alarms or number == rounds:
-                decision = f"stop after {rounds} effects" if alarms else "nothing unusual"
-                self._record(last, current or self.search.trial_of(last), [], decision)
+                self._record(last, [], f"stop after {rounds} effects" if alarms else "nothing unusual")
                 break
             worst = f"{alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}"
             self.settings.tell(f"alarm: {worst}", "looking for what explains the alarm")
-            current = current or self.search.trial_of(last)
             # Beside an accepted effect an alarm in doubt was judged again above.
             doubted = not self.found and in_doubt(last.judgement)
-            outcome, compared = self._search(last, current, thorough=not doubted)
+            outcome = self.search.explain(last, current, further=not doubted)
             if doubted and not outcome.certain:
                 first = last = self.search.judge_again(last)
                 if not last.judgement.raised:
-                    self._explanations(last, compared, outcome)
-                    self._record(last, current, outcome.trials, "nothing unusual")
+                    self.nothing_probability = outcome.probable.nothing
+                    self._record(last, outcome.trials, "nothing unusual")
                     break
-                outcome, compared = self._search(last, current)
-            current = compared
-            probable = self._explanations(last, current, outcome)
-            if outcome.accepted is None or outcome.found is None:
-                self._record(last, current, outcome.trials, "nothing known explains it")
+                outcome = self.search.explain(last, current)
+            if not self.found:
+                self.nothing_probability = outcome.probable.nothing
+            if outcome.accepted is None:
+                self._record(last, outcome.trials, "nothing known explains it")
                 break
-            outcome = outcome._replace(found=with_probabilities(outcome.found, outcome.accepted, probable))
-            current = self._accept(last, outcome, "add {}", before=current)
-            last = self._refit(last, current, number)
+            last = self._accept(last, outcome, "add {}")
         return self._result(first, last, draws, chains=joint and (bool(self.found) or always))
 
     def _recovery(self, fit: Fit) -> Recovery | None:
@@ -183,51 +164,16 @@ class Loop:
             return recovery
         return None
 
-    def _add_recovery(self, last: JudgedFit, recovery: Recovery) -> Trial:
+    def _add_recovery(self, last: JudgedFit, recovery: Recovery) -> JudgedFit:
         trial, trials = recovery
-        self.found.append(found_effect(trial, twins_of(trial, trials), last.judgement, self.search.directions))
-        return self._added(last, trial, trials, f"add {trial.model.effects[-1].name}: with it the filter follows")
+        found = found_effect(trial, (), last.judgement, self.search.directions)
+        return self._added(last, trial, trials, found, f"add {found.name}: with it the filter follows")
 
     def _note_single_channel(self, judged: JudgedFit) -> None:
         predictions = judged.scored.predictions
         channels = set(zip(predictions.kind.tolist(), predictions.channel.tolist(), strict=True))
         if len(channels) < 2:
             self.notes.append("one channel only: its own errors cannot be told from those of the path")
-
-    def _search(self, last: JudgedFit, current: Trial, thorough: bool = True) -> _Searched:
-        """Look for what explains the alarms of a model, in the catalogue and among formulas.
-
-        Parameters
-        ----------
-        last : JudgedFit
-            The model fitted to the whole log.
-        current : Trial
-            The same model fitted on the fit part.
-        thorough : bool
-            Whether to go on if the candidates with the greatest scores do not explain the alarms.
-        """
-        outcome = self.search.explain(last, current, thorough)
-        if thorough and outcome.accepted is None and self.search.comes_late(last):
-            self.search.split_at(LATE_FIT_SHARE)
-            late = self.search.trial_of(last)
-            again = self.search.explain(last, late)
-            if again.accepted is not None:
-                return _Searched(again, late)
-            self.search.split_at(FIT_SHARE)
-            formula = self.search.explain_by_formula(last, current)
-            outcome = formula._replace(trials=outcome.trials + formula.trials)
-        return _Searched(outcome, current)
-
-    def _explanations(self, last: JudgedFit, current: Trial, outcome: Outcome) -> Explanations:
-        """Return the probabilities of what may explain the alarms of a model; those of the base model are kept."""
-        search = self.search
-        probable = explanations(
-            current, outcome.trials, search.directions, search.n_formulas, last.judgement.p_value,
-            stream_seed(self.settings.seed, "noise of evidences"),
-        )  # fmt: skip
-        if not self.found:
-            self.nothing_probability = probable.nothing
-        return probable
 
     def _follow(self, fit: Fit, patient: bool = False) -> None:
         """Use as many particles as follow the robot from now on; raise FilterError if none do."""
@@ -240,63 +186,58 @@ class Loop:
             finer = FINER if particles < 4 * self.settings.particles else FINER // 2
             self.search.use_particles(particles, finer)
 
-    def _accept(self, last: JudgedFit, outcome: Outcome, decision: str, before: Trial | None = None) -> Trial:
-        """Add the effect that a search accepted; return the model with it."""
-        accepted, found = outcome.accepted, outcome.found
-        assert accepted is not None
-        assert accepted.effect is not None
-        assert found is not None
-        self.found.append(found)
-        return self._added(last, accepted, outcome.trials, decision.format(accepted.effect.name), before)
+    def _accept(self, last: JudgedFit, outcome: Outcome, decision: str) -> JudgedFit:
+        """Add the effect that a search accepted; return the model with it, judged."""
+        assert outcome.accepted is not None
+        assert outcome.found is not None
+        return self._added(
+            last, outcome.accepted, outcome.trials, outcome.found, decision.format(outcome.found.name)
+        )
 
     def _added(
-        self, last: JudgedFit, accepted: Trial, trials: list[Trial], decision: str, before: Trial | None = None
-    ) -> Trial:
-        """Record a step that adds an effect; return the model with it."""
+        self, last: JudgedFit, accepted: Trial, trials: Sequence[Trial], found: FoundEffect, decision: str
+    ) -> JudgedFit:
+        """Record a step that adds an effect; return the model with it, judged."""
         assert accepted.effect is not None
-        self._record(last, before or self.search.trial_of(last), trials, decision, accepted)
-        gain = accepted.on_heldout.total
+        self.settings.tell(f"named {with_place(accepted.effect)}: {accepted.evidence:+.1f} nats of evidence")
+        self._record(last, trials, decision, accepted)
+        before = self.held_out
+        accepted = self._without_spare(accepted)
+        self.held_out = self._predicted(accepted.fit)
+        gain = _gain(self.held_out, before)
+        self.found.append(replace(found, log_score_gain=gain.total, log_score_gain_se=gain.se))
         self.settings.tell(
-            f"added {with_place(accepted.effect)}: {gain:+.1f} nats on held-out data", "fitting the model with it"
+            f"added {with_place(found)}: {gain.total:+.1f} nats on held-out data", "judging the model with it"
         )
-        return self._without_spare(accepted)
+        return self.search.judge(accepted.fit)
 
-    def _refit(self, last: JudgedFit, current: Trial, number: int) -> JudgedFit:
-        """Fit the new model to the whole log, and judge it."""
-        seed = stream_seed(self.settings.seed, "fit of the whole log", number + 1)
-        bound = current.model.bind(self.log)
-        fit = current.fit
-        return self.search.judge(quick_fit(bound, seed, theta=fit.theta, path=last.fit.path, draws=fit.draws))
+    def _predicted(self, fit: Fit) -> HeldOut | None:
+        """Return how a model predicts the held-out part; None where its filter loses the robot."""
+        seed = stream_seed(self.settings.seed, "predictions of a step")
+        try:
+            return held_out(fit, self.split, particles=self.settings.comparing, seed=seed)
+        except FilterError:
+            return None
 
     def _without_spare(self, accepted: Trial) -> Trial:
         """Remove earlier effects that the newest one makes unnecessary."""
         n_base = len(self.base.effects)
-        refits = self.search.refits
-        trial, dropped = spare_effects(
-            refits.comparable(accepted), n_base, self.log, self.search.split, seed=refits.seed,
-            particles=self.settings.comparing,
-        )  # fmt: skip
+        odds = partial(log_prior_odds, directions=self.search.directions)
+        trial, dropped = without_spare_effects(accepted, n_base, odds, seed=self.search.refits.seed)
         for position in dropped:
             removed = self.found.pop(position - n_base)
             self.notes.append(f"{removed.name} was added first and dropped when a later effect explained it")
         return trial
 
     def _record(
-        self,
-        last: JudgedFit,
-        current: Trial,
-        trials: Sequence[Trial],
-        decision: str,
-        accepted: Trial | None = None,
+        self, last: JudgedFit, trials: Sequence[Trial], decision: str, accepted: Trial | None = None
     ) -> None:
         """Append the current model to the steps.
 
         Parameters
         ----------
         last : JudgedFit
-            The model fitted to the whole log.
-        current : Trial
-            The same model fitted on the fit part.
+            The model, fitted and judged.
         trials : sequence of Trial
             Refitted candidates.
         decision : str
@@ -304,15 +245,10 @@ class Loop:
         accepted : Trial, optional
             The trial that is added to the model.
         """
-        bound = current.model.bind(self.log)
-        rng = make_rng(stream(self.settings.seed, "predictions of a step"))
-        predictions = predict_by_passes(
-            bound.tables(current.fit.theta)[0], self.log.n_steps, self.settings.comparing, rng
-        )
-        pit = predictions.pit(rng)
-        self.predictions.append((predictions, pit))
-        gap = gap_of(predictions, pit, slice(self.search.split, None))
-        names = tuple(effect.name for effect in bound.model.effects)
+        if self.held_out is None:
+            self.held_out = self._predicted(last.fit)
+        gap = self.held_out.gap if self.held_out is not None else Gap(np.nan, np.nan, np.nan)
+        names = tuple(effect.name for effect in last.fit.bound.model.effects)
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
@@ -328,12 +264,6 @@ class Loop:
 
     def _result(self, first: JudgedFit, last: JudgedFit, draws: int, chains: bool) -> Criticism:
         """Return the result; `chains` tells whether full chains of the final model are run."""
-        # The held-out part may have become shorter during the run; all gaps are those of the last one.
-        heldout = slice(self.search.split, None)
-        self.steps = [
-            replace(step, gap=gap_of(predictions, pit, heldout))
-            for step, (predictions, pit) in zip(self.steps, self.predictions, strict=True)
-        ]
         before, after, posterior = estimates(first.fit), estimates(last.fit), None
         model = last.fit.bound.model
         if chains:
@@ -353,7 +283,7 @@ class Loop:
         )
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)
-        settings: dict[str, Any] = vars(self.settings) | {"split": self.search.split, "log": self.log.fingerprint()}
+        settings: dict[str, Any] = vars(self.settings) | {"split": self.split, "log": self.log.fingerprint()}
         del settings["workers"], settings["reporter"]  # the result does not depend on them
         # The model that is handed over applies to other logs as well: its formulas are evaluated anew on each.
         model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
@@ -369,7 +299,7 @@ class Loop:
             before=before,
             after=after,
             log=log,
-            split=self.search.split,
+            split=self.split,
             first=first,
             last=last,
             posterior=posterior,
@@ -377,3 +307,10 @@ class Loop:
             settings=settings,
             nothing_probability=self.nothing_probability,
         )
+
+
+def _gain(after: HeldOut | None, before: HeldOut | None) -> Gain:
+    """Return the gain on held-out rows of one model over another; NaN where a filter loses the robot."""
+    if after is None or before is None:
+        return Gain(np.nan, np.nan)
+    return paired_gain(after.rows, before.rows, slice(None))

@@ -10,6 +10,7 @@ import numpy as np
 from pmcl import defaults
 from pmcl.criticism.arguments import check_arguments
 from pmcl.criticism.findings.result import Criticism
+from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE
 from pmcl.criticism.loop import Loop
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.progress import Progress
@@ -18,6 +19,7 @@ from pmcl.errors import CriticismError
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import readings
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import RobotModel, default_model
@@ -27,6 +29,8 @@ __all__ = ["criticize"]
 
 # A log must have so many rows, for a fit on one part and a comparison on the other (chosen by hand).
 _LEAST_ROWS = 60
+# Both parts of a log must have so many readings (chosen by hand).
+_LEAST_READINGS = 20
 
 
 @stopping_on_interrupt()
@@ -97,14 +101,13 @@ def criticize(
 
     Notes
     -----
-    An effect is chosen on the first 60 % of the rows. The other rows, which alone give the gap, must confirm it. If the
-    disagreement begins too late for that, the shares are 80 and 20 %. An alarm that is not beyond doubt is judged again
-    with three times as many simulated logs. This is not necessary when an effect gains more than two standard errors on
-    the held-out part, or when it gains one standard error there and, on the whole log, two and more than chance can. A
-    number that deviates by z standard errors costs a model at least z^2 / 2 nats. An effect that gains less must
-    therefore also be the best one among all effects of the whole robot and formulas. If the filter of the base model
-    loses the robot, effects of the motion are refitted first, then effects of the sensors; the first one that lets the
-    filter follow is added.
+    An alarm is the only reason to look for an effect. What it is, posterior probabilities decide
+    (:mod:`pmcl.criticism.naming.search`): half of the prior is on nothing, and the evidence of each effect is that of
+    the whole log. The most probable effect is added, and told with those that may be meant instead. The gap is that of
+    the last 40 % of the rows, predicted by models whose parameters are fitted to the rows before. An alarm that is not
+    beyond doubt is judged again with three times as many simulated logs, unless some effect explains it beyond doubt.
+    If the filter of the base model loses the robot, effects of the motion are refitted first, then effects of the
+    sensors; the first one that lets the filter follow is added.
     """
     check_arguments(
         log, model, effects, {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds,
@@ -138,7 +141,20 @@ def _check(log: RobotLog) -> None:
             f"{log.where}: expected at least {_LEAST_ROWS} rows, to fit on one part and judge on another, but got "
             f"{log.n_steps}{more}"
         )
+    split = round((1.0 - HELD_OUT_SHARE) * log.n_steps)
+    parts = [_readings(log, rows) for rows in (slice(0, split), slice(split, None))]
+    if min(parts) < _LEAST_READINGS:
+        raise CriticismError(
+            f"{log.where}: expected at least {_LEAST_READINGS} readings in the first {1.0 - HELD_OUT_SHARE:.0%} of the "
+            f"log and in the rest, but got {parts[0]} and {parts[1]}; record more"
+        )
     if not np.any(log.odometry[1:] != 0.0):
         raise CriticismError(
             f"{log.where}: expected a robot that moves, but all odometry is zero; drive, and turn both ways"
         )
+
+
+def _readings(log: RobotLog, rows: slice) -> int:
+    """Return how many numbers the sensors have read in some rows."""
+    variables = (log.dataset[name].values[rows] for name in readings(log.dataset) if name in log.dataset)
+    return sum(int((~np.isnan(values)).sum()) for values in variables)

@@ -146,7 +146,7 @@ def plot_candidates(criticism: Criticism, number: int = 0) -> Figure:
 
 
 def plot_gains(criticism: Criticism, number: int = 0) -> Figure:
-    """Draw the gains of the refitted candidates of one step on both parts of the log, with two standard errors.
+    """Draw what the refitted candidates of one step gain: log score with two standard errors, and evidence.
 
     Parameters
     ----------
@@ -160,15 +160,12 @@ def plot_gains(criticism: Criticism, number: int = 0) -> Figure:
     figure = new_figure(0.9 + 0.34 * max(3, len(tried)))
     axes = figure.subplots()
     rows = np.arange(len(tried))
-    for offset, color, label, values in (
-        (0.13, FAINT, "fit part", [(c.fit_gain, c.fit_gain_se) for c in tried]),
-        (-0.13, POSTERIOR, "held-out part", [(c.log_score_gain, c.log_score_gain_se) for c in tried]),
-    ):
-        gain, se = np.array(values).reshape(-1, 2).T
-        axes.errorbar(gain, rows + offset, xerr=2.0 * se, fmt="o", color=color, label=label, capsize=2, markersize=4)
+    gain, se = np.array([(c.log_score_gain, c.log_score_gain_se) for c in tried]).reshape(-1, 2).T
+    axes.errorbar(gain, rows, xerr=2.0 * se, fmt="o", color=FAINT, label="log score", capsize=2, markersize=4)
+    axes.plot([c.evidence for c in tried], rows, "D", color=POSTERIOR, label="evidence", markersize=5)
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.set_yticks(rows, [label_of(candidate) for candidate in tried], fontsize=9)
-    axes.set_xlabel("gain in log score [nat]")
+    axes.set_xlabel("gain [nat]")
     tidy(axes)
     legend_above(figure, axes.get_legend_handles_labels()[0])
     return figure

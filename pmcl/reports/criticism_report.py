@@ -112,8 +112,8 @@ def _rejected_row(number: int, step: Step, candidate: Candidate) -> tuple[str, .
         step.decision,
         label_of(candidate),
         _number(candidate.z),
-        f"{_number(candidate.fit_gain)} ± {_number(candidate.fit_gain_se)}",
         f"{_number(candidate.log_score_gain)} ± {_number(candidate.log_score_gain_se)}",
+        _number(candidate.evidence),
     )
 
 
@@ -148,7 +148,7 @@ def _pictures(criticism: Criticism) -> list[Picture]:
                 plot_candidates(criticism, number),
                 f"Candidates: scores of the {of}",
                 "How strongly the data point to each effect, after the model's own parameters have explained what they "
-                "can. Bars beyond the dotted line are significant. The ranking decides only what is refitted.",
+                "can. Bars beyond the dotted line are significant. The ranking decides only what is refitted first.",
             )
         )
         if any(math.isfinite(candidate.log_score_gain) for candidate in step.candidates):
@@ -156,8 +156,9 @@ def _pictures(criticism: Criticism) -> list[Picture]:
                 picture(
                     plot_gains(criticism, number),
                     f"Candidates: gains over the {of}",
-                    "Gain of each refitted candidate, with two standard errors. The fit part chooses the effect; the "
-                    "held-out part decides whether it is accepted.",
+                    "Gain of each refitted candidate in the log score of all rows, with two standard errors, and in "
+                    "evidence, which is less: it pays for parameters that the rows have chosen. Evidence and prior "
+                    "together give the probability of each explanation.",
                 )
             )
     return pictures

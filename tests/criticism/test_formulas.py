@@ -9,15 +9,11 @@ import pytest
 from scipy import stats
 
 from pmcl.criticism.findings.assemble import filled_in
-from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.naming.choice import contenders
 from pmcl.criticism.naming.formulas import formulas, steady_changes, wave
 from pmcl.criticism.workflow import criticize
 from pmcl.filtering.estimated_path import with_estimates
-from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import path_formulas
-from pmcl.models.effects.selection import effect_named
 from pmcl.models.model_file import model_of_text, model_text
 from pmcl.models.motions.odometry.motion import Differential
 from pmcl.models.parameters import Parameter
@@ -37,21 +33,6 @@ def library():
     path = np.array(log.true_poses)
     path[:, 2] = np.unwrap(path[:, 2])
     return log, tables, {effect.name: effect for effect in formulas(log, tables, path)}
-
-
-def _trial(effect, gain):
-    none = Gain(0.0, 0.0)
-    return Trial(effect, None, None, None, 0.0, Gain(gain, 5.0), none, none)
-
-
-def test_a_formula_is_no_reason_to_drop_a_known_effect_that_gains_much_at_a_glance(library):
-    """Noise that depends on something takes up much of what, say, a large offset of the sensor causes."""
-    log, _, library = library
-    rule = _trial(library["formula: log sigma_forward += c*speed"], 75.0)
-    known = _trial(effect_named("sensor-offset", log), 50.0)
-    little = _trial(effect_named("odometry-arc", log), 10.0)
-    assert contenders([known, little], [rule]) == [known]
-    assert contenders([little], [rule]) == []
 
 
 def test_motion_by_alphas_has_formulas_of_its_means_only():

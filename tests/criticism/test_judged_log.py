@@ -24,7 +24,7 @@ SETTINGS = Settings(
 def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, first, second, logs):
     asked, seeds = [], []
 
-    def judged(scored, simulated, directions, split, settings):
+    def judged(scored, simulated, directions, settings):
         p_value = first if not asked else second
         asked.append(len(simulated))
         judgement = SimpleNamespace(p_value=p_value, raised=("alarm",) if p_value < 0.05 else ())
@@ -39,9 +39,9 @@ def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, fi
     monkeypatch.setattr(judged_log, "replicated_log", lambda log, tables, path, rng, by_turning: Replica(log, path))
     bound = SimpleNamespace(model=SimpleNamespace(bind=lambda log: bound, motion=None))
     fit = SimpleNamespace(bound=bound, theta=np.zeros(4), tables=None, path=None, drawn_path=None)
-    last = judged_log.judge_log("log", fit, (), 10, SETTINGS)
+    last = judged_log.judge_log("log", fit, (), SETTINGS)
     if judged_log.in_doubt(last.judgement):
-        last = judged_log.with_more_simulations(last, "log", fit, (), 10, SETTINGS)
+        last = judged_log.with_more_simulations(last, "log", fit, (), SETTINGS)
     assert asked == logs
     assert last.judgement.p_value == (first if second is None else second)
     assert len(set(seeds)) == len(seeds) == 1 + logs[-1]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.naming.probability import NOTHING_PRIOR, explanations, nothing_without_refits
+from pmcl.criticism.naming.probability import NOTHING_PRIOR, explanations, log_prior_odds, nothing_without_refits
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.effect import Effect
@@ -28,10 +29,9 @@ def effect(name, place=None, prior=None, squared=False):
     )  # fmt: skip
 
 
-def trial(of, evidence, noise=0.0):
+def trial(of, evidence, noise=0.0, effort=THOROUGH):
     """A trial with so much evidence."""
-    fit, none = Gain(evidence, 1.0), Gain(0.0, 1.0)
-    return Trial(of, None, None, None, 0.0, fit, none, fit, noise=noise)
+    return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, 100, effort)
 
 
 def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0):
@@ -79,9 +79,32 @@ def test_evidences_that_differ_by_less_than_their_noise_share_the_probability():
     )
     # Four thousand draws.
     assert noisy.of(one) == pytest.approx(expected, abs=0.02)
-    # A single pass cannot tell its noise: it has more than two passes.
-    glance = told([trial(one, 104.0, np.nan), trial(other, 100.0, np.nan)], noise=3.0)
-    assert 0.5 < glance.of(one) < noisy.of(one)
+    # A single pass cannot tell its noise: it has more than two passes. A short fit is further off.
+    glance = told([trial(one, 104.0, np.nan, GLANCE), trial(other, 100.0, np.nan, GLANCE)], noise=3.0)
+    brief = told([trial(one, 104.0, 3.0, BRIEF), trial(other, 100.0, 3.0, BRIEF)])
+    assert 0.5 < glance.of(one) < brief.of(one) < noisy.of(one)
+
+
+def test_the_answer_is_the_fewest_effects_that_have_nearly_all_that_effects_have():
+    effects = [effect(f"effect-{k}") for k in range(4)]
+    found = told([trial(one, value) for one, value in zip(effects, (50.0, 51.0, 48.0, 40.0), strict=True)])
+    assert [one.name for one in found.credible] == ["effect-1", "effect-0"]
+    assert found.explained
+    assert found.named == pytest.approx(1.0)
+    alone = told([trial(effects[0], 50.0)], effects[1:])
+    assert [one.name for one in alone.credible] == ["effect-0"]
+    poor = told([trial(effects[0], 1.0)], effects[1:])
+    assert [one.name for one in poor.credible] == ["effect-0"]
+    assert not poor.explained
+    assert told([], effects).credible == ()
+
+
+def test_prior_odds_are_those_of_the_probabilities():
+    beams, scale = [effect("beam-bias", k) for k in range(4)], effect("odometry-turn-scale")
+    directions = directions_of([*beams, scale])
+    share = (1.0 - NOTHING_PRIOR) / 4.0
+    assert log_prior_odds(scale, directions) == pytest.approx(np.log(share / NOTHING_PRIOR))
+    assert log_prior_odds(beams[2], directions) == pytest.approx(np.log(share / 4.0 / NOTHING_PRIOR))
 
 
 @pytest.mark.parametrize("p_value", [0.5, 1e-3, 1e-20, 0.0])

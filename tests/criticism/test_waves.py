@@ -41,9 +41,8 @@ def _log(size, seed=3):
 
 def _waves(log):
     fit = quick_fit(default_model(log).bind(log), 1, effort=BRIEF)
-    split = int(0.6 * log.n_steps)
-    judged = judge_log(log, fit, (), split, SETTINGS)
-    return remarkable_waves(judged, log, fit.tables, split, SETTINGS)
+    judged = judge_log(log, fit, (), SETTINGS)
+    return remarkable_waves(judged, log, fit.tables, SETTINGS)
 
 
 def _period_and_start(name):
@@ -93,5 +92,5 @@ def test_a_wave_wins_over_noise_with_a_memory():
     assert "sin(2*pi*(time" in effect.name
     (estimate,) = effect.parameters.values()
     assert abs(estimate.mean - 0.08) < 5.0 * estimate.sd
-    tried = {one.name for one in result.steps[0].candidates if np.isfinite(one.fit_gain)}
+    tried = {one.name for one in result.steps[0].candidates if np.isfinite(one.log_score_gain)}
     assert "turn-noise-correlated" in tried

@@ -78,7 +78,7 @@ def test_json_follows_the_format(found, tmp_path):
     for step in content["steps"]:
         assert set(step["gap"]) == {"log_score_per_reading", "pit_distance", "coverage_90"}
         for candidate in step["candidates"]:
-            assert {"name", "score_p_value", "log_score_gain", "log_score_gain_se"} <= set(candidate)
+            assert {"name", "score_p_value", "log_score_gain", "log_score_gain_se", "evidence"} <= set(candidate)
 
 
 @pytest.mark.slow

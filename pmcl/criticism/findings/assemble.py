@@ -65,7 +65,7 @@ def drawn_estimates(fit: Fit, posterior: Posterior) -> dict[str, Estimate]:
 def found_effect(
     accepted: Trial, twins: Sequence[Trial], judgement: Judgement, directions: Sequence[Direction]
 ) -> FoundEffect:
-    """Return an accepted effect, still without its final parameters.
+    """Return an accepted effect, still without its final parameters and its gain on held-out data.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def found_effect(
     advice = [effect.near_twins.get(other.name) or other.near_twins.get(effect.name, "") for other in others]
     return FoundEffect(
         effect.name, effect.summary, effect.where, {}, min(p_values, default=accepted.p_value),
-        *accepted.on_heldout[:2],
+        float("nan"), float("nan"),
         tuple(with_place(other) for other in others), tuple(dict.fromkeys(text for text in advice if text)),
         effect.finding,
     )  # fmt: skip
@@ -156,7 +156,7 @@ def candidates_of(
         effect = directions[k].effect
         scores.setdefault(instance_key(effect), _Score(float(judgement.z[k]), float(judgement.p_values[k]), effect))
     refitted = []
-    for trial in sorted(trials, key=lambda trial: -trial.merit):
+    for trial in sorted(trials, key=lambda trial: -trial.evidence):
         assert trial.effect is not None
         score = scores.pop(instance_key(trial.effect), _Score(trial.z, trial.p_value, trial.effect))
         known = {**trial.model.fixed, **trial.fit.values()}
@@ -164,14 +164,14 @@ def candidates_of(
         refitted.append(
             Candidate(
                 *(trial.effect.name, trial.effect.where, score.z, score.p_value),
-                *(*trial.on_fit[:2], *trial.on_heldout[:2]),
+                *(trial.gain.total, trial.gain.se, trial.evidence),
                 values=values,
                 accepted=trial is accepted,
             )
         )
     nan = float("nan")
     scored = [
-        Candidate(score.effect.name, score.effect.where, score.z, score.p_value, nan, nan, nan, nan)
+        Candidate(score.effect.name, score.effect.where, score.z, score.p_value, nan, nan, nan)
         for score in list(scores.values())[:_LISTED]
     ]
     return (*refitted, *scored)

@@ -80,6 +80,7 @@ def step_entry(step: Step) -> dict[str, Any]:
                 "score_p_value": candidate.score_p_value,
                 "log_score_gain": candidate.log_score_gain,
                 "log_score_gain_se": candidate.log_score_gain_se,
+                "evidence": candidate.evidence,
             }
             for candidate in step.candidates
         ],

@@ -86,8 +86,8 @@ class FoundEffect:
     finding : str
         The sentence about a log that has it, see :class:`~pmcl.models.effects.effect.Effect`; empty for a formula.
     chosen_on_all_rows : bool
-        Whether it was tried for its score on all rows, when that on the fit part alone was not remarkable. Its gain on
-        held-out data is then that of rows which helped to choose it, and too large on average.
+        Whether the held-out rows helped to choose it, so that its gain there is too large on average. Its parameters
+        are fitted without these rows in any case.
     probability : float
         Posterior probability of this name when it was added, see :mod:`pmcl.criticism.naming.probability`; NaN where it
         was not computed, because the data show the effect without a fit, or the filter followed with it only.
@@ -105,7 +105,7 @@ class FoundEffect:
     not_distinguishable_from: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     finding: str = ""
-    chosen_on_all_rows: bool = False
+    chosen_on_all_rows: bool = True
     probability: float = math.nan
     alternatives: tuple[Alternative, ...] = ()
 
@@ -151,10 +151,11 @@ class Candidate:
         As in :class:`FoundEffect`.
     z, score_p_value : float
         Its standardised score on the whole log, and the score's p-value.
-    fit_gain, fit_gain_se : float
-        Gain on the fit part [nat] and its standard error; NaN for an effect that was scored but not refitted.
     log_score_gain, log_score_gain_se : float
-        The same on the held-out part.
+        Gain in the log score of all rows [nat] and its standard error; NaN for an effect that was scored but not
+        refitted.
+    evidence : float
+        Gain in log evidence [nat]: the gain in log score, less what the priors lose.
     values : mapping of str to float
         Its fitted parameters; empty for an effect that was not refitted.
     accepted : bool
@@ -165,10 +166,9 @@ class Candidate:
     where: Mapping[str, Any]
     z: float
     score_p_value: float
-    fit_gain: float
-    fit_gain_se: float
     log_score_gain: float
     log_score_gain_se: float
+    evidence: float
     values: Mapping[str, float] = field(default_factory=dict)
     accepted: bool = False
 

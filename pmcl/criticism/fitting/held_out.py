@@ -7,14 +7,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.criticism.fitting.quick_fit import BRIEF, Fit, quick_fit
 from pmcl.filtering.not_a_number import parameters_told
-from pmcl.filtering.one_step_ahead import Predictions, pooled_increments
+from pmcl.filtering.one_step_ahead import Predictions, pooled_increments, predict_by_passes
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.models.robot_model import BoundModel
 
-__all__ = ["Gap", "RowScores", "gap_of", "row_scores"]
+__all__ = ["HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "gap_of", "held_out", "row_scores"]
 
 Float = NDArray[np.float64]
+
+HELD_OUT_SHARE = 0.4
+"""Share of the rows, the last ones, on which gaps are shown; parameters are then fitted to the others only."""
 
 
 class Gap(NamedTuple):
@@ -94,6 +98,52 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
     if passes > 1:
         noise = float(np.sqrt(np.var(increments, axis=0, ddof=1).sum() / passes))
     return RowScores(pooled_increments(increments), noise)
+
+
+class HeldOut(NamedTuple):
+    """How well a model predicts the last part of a log, when its parameters are fitted to the first part.
+
+    Attributes
+    ----------
+    gap : Gap
+        How well it predicts the held-out readings.
+    rows : ndarray, shape (H,)
+        Log scores of the held-out rows [nat].
+    """
+
+    gap: Gap
+    rows: Float
+
+
+def held_out(fit: Fit, split: int, *, particles: int, seed: int) -> HeldOut:
+    """Fit a model to the first part of a log, and let it predict the rest.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fit of the model to the whole log, from which this one starts.
+    split : int
+        First row of the held-out part.
+    particles : int
+        Particles of each pass of the filter.
+    seed : int
+        Determines all random numbers.
+
+    Raises
+    ------
+    FilterError
+        When the filter loses the robot entirely.
+    """
+    bound = fit.bound
+    part = quick_fit(
+        bound.restricted(split), seed, theta=fit.theta, path=fit.path[:split], draws=fit.draws, effort=BRIEF
+    )
+    rng = make_rng(np.random.SeedSequence(seed))
+    with parameters_told(bound, part.theta):
+        predictions = predict_by_passes(bound.tables(part.theta)[0], bound.lengths[0], particles, rng)
+    rows = np.zeros(bound.lengths[0])
+    np.add.at(rows, predictions.time, predictions.log_score)
+    return HeldOut(gap_of(predictions, predictions.pit(rng), slice(split, None)), rows[split:])
 
 
 def gap_of(predictions: Predictions, pit: Float, rows: slice) -> Gap:

@@ -1,17 +1,16 @@
-"""One candidate effect refitted: the model with it, its fit, and its gain on each part of the log."""
+"""One candidate effect refitted: the model with it, its fit to the whole log, and its evidence."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.fitting.held_out import row_scores
-from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Effort, Fit, quick_fit
+from pmcl.criticism.fitting.quick_fit import GLANCE, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.scoring.scores import probe_values
 from pmcl.errors import DensityError, PmclError
 from pmcl.filtering.paired_scores import Gain, paired_gain
@@ -20,27 +19,20 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import RobotModel
 
-__all__ = [
-    "PRACTICAL", "Trial", "from_null", "occam_factor", "refitted", "scored_anew", "spare_effects", "trial_of_base",
-    "try_effect",
-]  # fmt: skip
+__all__ = ["Trial", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base", "try_effect"]
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
 
-# Chosen by hand on simulated logs with hidden effects (block 0 of analyses/hidden_effects).
-PRACTICAL = 3.0
-"""Smaller gains are never worth a parameter, even if they are real [nat]."""
-# The best of a hundred candidates gains some 5 nats by chance on a log without an effect, and never this many [nat]
-# (analyses/hidden_effects).
-_NO_CHANCE = 15.0
 # The refit of a candidate starts at this share of its clear magnitude (chosen by hand).
 _START_SHARE = 0.25
+# Added to the diagonal of a covariance, in units of its own diagonal: a parameter that a short chain has not moved.
+_RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A model that was refitted on the fit part of the log.
+    """A model that was fitted to the log.
 
     Attributes
     ----------
@@ -49,23 +41,22 @@ class Trial:
     model : RobotModel
         The whole model.
     fit : Fit
-        Its fit on the fit part.
+        Its fit.
     row_scores : ndarray, shape (T,)
-        Its log score of each row of the whole log [nat].
+        Its log score of each row [nat].
     z : float
         Standardised score of its effect.
-    on_fit, on_heldout, on_all : Gain
-        Gain over the current model on the fit part, on the held-out part and on the whole log.
+    gain : Gain
+        Gain of its row scores over those of the current model.
+    evidence : float
+        Its log evidence less that of the current model [nat], see :func:`log_prior_and_volume`.
+    noise : float
+        Standard deviation of the sum of its row scores, because particles are random [nat]; NaN from one pass, which
+        cannot tell.
     particles : int
         Particles of the filter that scored the rows.
-    thorough : bool
-        Whether the fit is a thorough one.
-    occam : float
-        What the prior of the effect's parameters loses, see :func:`occam_factor` [nat].
-    from_null : float
-        Distance of the effect's strengths from no effect, see :func:`from_null` [standard deviations].
-    noise : float
-        Standard deviation of the sum of its row scores, because particles are random [nat]; NaN after a glance.
+    effort : Effort
+        Length of the fit.
     """
 
     effect: Effect | None
@@ -73,14 +64,11 @@ class Trial:
     fit: Fit
     row_scores: Float
     z: float
-    on_fit: Gain
-    on_heldout: Gain
-    on_all: Gain
-    particles: int = 0
-    thorough: bool = False
-    occam: float = 0.0
-    from_null: float = np.inf
-    noise: float = 0.0
+    gain: Gain
+    evidence: float
+    noise: float
+    particles: int
+    effort: Effort = THOROUGH
 
     @property
     def p_value(self) -> float:
@@ -88,55 +76,44 @@ class Trial:
         return float(2.0 * special.ndtr(-abs(self.z)))
 
     @property
-    def merit(self) -> float:
-        """Gain on the fit part [nat], less one for each additional parameter (Akaike 1974)."""
-        return self.on_fit.total - (len(self.effect.parameters) if self.effect is not None else 0)
+    def glanced(self) -> bool:
+        """Whether the fit was only a glance."""
+        return self.effort == GLANCE
 
     @property
-    def evidence(self) -> float:
-        """Gain in log evidence over the current model [nat], by Laplace's method on the fit part.
-
-        It is the gain on the whole log, less what the prior loses: the rows of the fit part are scored with parameters
-        that these rows have chosen. A parameter that they determine to a hundredth of its prior costs 4.6 nats, one
-        that they cannot tell costs nothing. Held-out rows count as far as the fit part's own gain: an effect that acts
-        later only was fitted to nothing.
-        """
-        return self.on_fit.total + min(self.on_heldout.total, max(self.on_fit.total, 0.0)) - self.occam
-
-    @property
-    def absorber(self) -> bool:
-        """Whether its effect is an absorber, see :class:`~pmcl.models.effects.effect.Effect`."""
-        return self.effect is not None and self.effect.absorber
+    def thorough(self) -> bool:
+        """Whether the fit is as long as fits get."""
+        return self.effort == THOROUGH
 
     @property
     def in_several_blocks(self) -> bool:
-        """Whether its gains, on the held-out part and on the whole log, remain gains without their largest blocks.
+        """Whether something is left of its evidence without the block of rows that gains most.
 
-        One row may gain a dozen nats by accident, an effect that the robot has gains again.
+        One row may gain a dozen nats by accident; an effect that the robot has gains again.
         """
-        return self.on_heldout.without_largest > 0.0 and self.on_all.without_largest > PRACTICAL
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether rows that did not choose it confirm it.
-
-        Its gain on the held-out part must exceed two standard errors. One is enough if its gain on the whole log
-        exceeds two standard errors and any gain that occurs by chance. An effect that explains a few gross errors
-        gains in a few rows, and the standard error of its gain is large for that reason: heavy-tailed motion noise
-        once gained 126 +- 47 nats on the whole log and 51 +- 27 on the held-out part.
-        """
-        held, whole = self.on_heldout, self.on_all
-        if held.total <= PRACTICAL or not self.in_several_blocks:
-            return False
-        return held.significant or (held.total > held.se and whole.significant and whole.total > _NO_CHANCE)
+        return self.evidence - self.gain.largest > 0.0
 
 
-class _Gains(NamedTuple):
-    """Gains on the fit part, on the held-out part and on the whole log."""
+def log_prior_and_volume(fit: Fit) -> float:
+    """Return what makes evidence of the log score at the posterior mean, by Laplace's method [nat].
 
-    on_fit: Gain
-    on_heldout: Gain
-    on_all: Gain
+    Parameters
+    ----------
+    fit : Fit
+        The fit of a model.
+
+    Returns
+    -------
+    float
+        Log density of the prior at the mean of the draws, plus the log volume of a normal with their covariance. It is
+        about zero for parameters of which the log tells nothing, and negative for what it determines: Occam's factor.
+        MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28.
+    """
+    covariance = np.atleast_2d(np.cov(fit.draws.T))
+    scale = np.sqrt(np.diag(covariance)) + 1e-12
+    correlation = covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
+    log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * correlation)[1] + np.log(scale).sum()
+    return float(fit.bound.log_prior(fit.theta) + log_volume)
 
 
 def try_effect(
@@ -144,13 +121,12 @@ def try_effect(
     effect: Effect,
     z: float,
     log: RobotLog,
-    split: int,
     *,
     seed: int,
     particles: int,
-    effort: Effort = BRIEF,
+    effort: Effort,
 ) -> Trial | None:
-    """Refit the current model with one additional effect on the fit part, and score the whole log.
+    """Fit the current model with one additional effect.
 
     Parameters
     ----------
@@ -162,8 +138,6 @@ def try_effect(
         Its standardised score; its sign gives the side on which the fit starts.
     log : RobotLog
         The log.
-    split : int
-        First row of the held-out part.
     seed : int
         Determines all random numbers.
     particles : int
@@ -184,80 +158,16 @@ def try_effect(
         )
         bound = model.bind(log)
         theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
-        fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=effort)
-        scores = row_scores(bound, fitted.theta, particles=particles, seed=seed, passes=effort.passes)
+        fitted = quick_fit(bound, seed, theta=theta, path=current.fit.path, effort=effort)
+        return _scored(effect, model, fitted, z, current, seed=seed, particles=particles, effort=effort)
     except DensityError:
         raise
     except PmclError as error:
         _logger.debug("%s cannot be fitted: %s", effect.name, error)
         return None
-    gains = _gains(scores.rows, current.row_scores, split)
-    return Trial(
-        effect, model, fitted, scores.rows, z, *gains, particles, effort == THOROUGH,
-        occam=occam_factor(fitted, int(free.sum())), from_null=from_null(fitted, effect, free), noise=scores.noise,
-    )  # fmt: skip
 
 
-def occam_factor(fit: Fit, count: int) -> float:
-    """Return the log of the prior's density over its mean under a Gaussian posterior, for the last parameters of a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    count : int
-        Number of parameters, those of the newest effect.
-
-    Returns
-    -------
-    float
-        Zero for parameters of which the log tells nothing [nat]; see MacKay (2003), Information Theory, Inference, and
-        Learning Algorithms, chapter 28.
-    """
-    if not count:
-        return 0.0
-    prior = sum(
-        float(parameter.prior.logpdf(value))
-        for parameter, value in zip(fit.bound.parameters[-count:], fit.theta[-count:], strict=True)
-    )
-    covariance = np.atleast_2d(np.cov(fit.draws[:, -count:].T))
-    log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * (covariance + 1e-12 * np.eye(count)))[1]
-    return max(0.0, -prior - float(log_volume))
-
-
-def from_null(fit: Fit, effect: Effect, free: NDArray[np.bool_]) -> float:
-    """Return how far the last parameters of a fit, those of an effect, are from no effect.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    effect : Effect
-        The effect.
-    free : ndarray of bool, shape (k,)
-        Which of its parameters are fitted.
-
-    Returns
-    -------
-    float
-        The greatest distance of a strength from its null in standard deviations of its draws. A strength with a bound
-        at the null, such as the weight of a mixture, never lies far from it in these terms: it has no distance, and
-        neither has an effect that the data show without a fit. The distance of these is infinite.
-    """
-    strengths = [k for k in effect.strengths if free[k]]
-    if not strengths or any(effect.squared or effect.one_sided(k) for k in strengths):
-        return float("inf")
-    draws = fit.draws[:, -int(free.sum()) :]
-    position = np.cumsum(free) - 1
-    return max(
-        float(abs(draws[:, position[k]].mean() - effect.null[k]) / (draws[:, position[k]].std() + 1e-300))
-        for k in strengths
-    )
-
-
-def refitted(
-    trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int, effort: Effort
-) -> Trial:
+def refitted(trial: Trial, current: Trial, *, seed: int, particles: int, effort: Effort) -> Trial:
     """Continue the fit of a trial, and score it again against the current model.
 
     Parameters
@@ -266,44 +176,31 @@ def refitted(
         The trial.
     current : Trial
         The current model.
-    log, split, seed, particles, effort
+    seed, particles, effort
         As for :func:`try_effect`.
 
     Returns
     -------
     Trial
-        The trial without any change if the filter loses the robot after the longer fit.
+        With its old fit if the filter loses the robot after the longer one; it is not fitted again then.
     """
-    bound = trial.model.bind(log)
+    before = trial.fit
     try:
-        before = trial.fit
         fitted = quick_fit(
-            bound.restricted(split), seed, theta=before.theta, path=before.path, draws=before.draws, effort=effort
+            before.bound, seed, theta=before.theta, path=before.path, draws=before.draws, effort=effort
         )
-        count = fitted.theta.size - current.fit.theta.size
-        longer = replace(
-            trial, fit=fitted, thorough=effort == THOROUGH, occam=occam_factor(fitted, count),
-            from_null=_distance_of(trial, fitted),
-        )  # fmt: skip
-        return scored_anew(longer, current, log, split, seed=seed, particles=particles)
+        return _scored(
+            trial.effect, trial.model, fitted, trial.z, current, seed=seed, particles=particles, effort=effort
+        )
     except DensityError:
         raise
     except PmclError as error:
         _logger.debug("a longer fit with %s fails: %s", trial.model.effects[-1].name, error)
-        return trial
+        return replace(trial, effort=effort)
 
 
-def _distance_of(trial: Trial, fit: Fit) -> float:
-    """Return the distance of a trial's effect from none under a longer fit."""
-    if trial.effect is None:
-        return float("inf")
-    newest = trial.model.named_effects[-1]
-    free = np.array([parameter.name not in trial.model.fixed for parameter in newest.parameters])
-    return from_null(fit, trial.effect, free)
-
-
-def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:
-    """Score the rows of a trial with its present fit and another number of particles.
+def scored_anew(trial: Trial, current: Trial, *, seed: int, particles: int) -> Trial:
+    """Score a trial with its present fit and another number of particles.
 
     Parameters
     ----------
@@ -311,52 +208,46 @@ def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed
         The trial.
     current : Trial
         The current model, scored with the same number of particles; it may be the trial itself.
-    log, split, seed, particles
+    seed, particles
         As for :func:`try_effect`.
     """
-    scores = row_scores(trial.model.bind(log), trial.fit.theta, particles=particles, seed=seed)
-    rows = scores.rows
-    gains = _gains(rows, rows if trial is current else current.row_scores, split)
-    return replace(trial, row_scores=rows, noise=scores.noise, particles=particles, **gains._asdict())
+    same = None if trial is current else current
+    return _scored(
+        trial.effect, trial.model, trial.fit, trial.z, same, seed=seed, particles=particles, effort=trial.effort
+    )
 
 
-def _gains(new: Float, old: Float, split: int) -> _Gains:
-    return _Gains(*(paired_gain(new, old, rows) for rows in (slice(0, split), slice(split, None), slice(None))))
-
-
-def trial_of_base(
-    model: RobotModel,
-    log: RobotLog,
-    split: int,
-    *,
-    seed: int,
-    particles: int,
-    theta: Float,
-    path: Float,
-    draws: Float | None = None,
-) -> Trial:
-    """Fit a model without additional effects on the fit part, and score all rows.
+def trial_of_base(fit: Fit, *, seed: int, particles: int) -> Trial:
+    """Score a fitted model, with which candidates are compared.
 
     Parameters
     ----------
-    model : RobotModel
-        The model.
-    log, split, seed, particles
+    fit : Fit
+        The fit.
+    seed, particles
         As for :func:`try_effect`.
-    theta : ndarray, shape (d,)
-        Parameters of a fit of the whole log, from which this one starts.
-    path : ndarray, shape (T, D)
-        Path of that fit.
-    draws : ndarray, shape (N, d), optional
-        Draws of that fit.
     """
-    bound = model.bind(log)
-    fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split], draws=draws)
-    scores = row_scores(bound, fitted.theta, particles=particles, seed=seed)
-    no_gain = Gain(0.0, 0.0)
-    return Trial(
-        None, model, fitted, scores.rows, 0.0, no_gain, no_gain, no_gain, particles, noise=scores.noise
-    )
+    return _scored(None, fit.bound.model, fit, 0.0, None, seed=seed, particles=particles, effort=THOROUGH)
+
+
+def _scored(
+    effect: Effect | None,
+    model: RobotModel,
+    fit: Fit,
+    z: float,
+    current: Trial | None,
+    *,
+    seed: int,
+    particles: int,
+    effort: Effort,
+) -> Trial:
+    """Return a fitted model as a trial; it is compared with itself when there is no current model."""
+    scores = row_scores(fit.bound, fit.theta, particles=particles, seed=seed, passes=effort.passes)
+    gain, evidence = Gain(0.0, 0.0), 0.0
+    if current is not None:
+        gain = paired_gain(scores.rows, current.row_scores, slice(None))
+        evidence = gain.total + log_prior_and_volume(fit) - log_prior_and_volume(current.fit)
+    return Trial(effect, model, fit, scores.rows, z, gain, evidence, scores.noise, particles, effort)
 
 
 def _start_values(effect: Effect, z: float) -> Float:
@@ -370,56 +261,3 @@ def _start_values(effect: Effect, z: float) -> Float:
         margin = 1e-6 * (high - low) if np.isfinite(high - low) else 1e-6
         values[k] = float(np.clip(values[k], low + margin, high - margin))
     return values
-
-
-def spare_effects(
-    accepted: Trial, n_base: int, log: RobotLog, split: int, *, seed: int, particles: int
-) -> tuple[Trial, list[int]]:
-    """Remove each effect that was added before the newest one and that held-out rows no longer need.
-
-    Parameters
-    ----------
-    accepted : Trial
-        The model with the newest effect last.
-    n_base : int
-        Number of effects of the base model, which stay.
-    log, split, seed, particles
-        As for :func:`try_effect`.
-
-    Returns
-    -------
-    trial : Trial
-        The model without the effects that were removed.
-    dropped : list of int
-        Their positions among the model's effects, each counted after the removals before it.
-    """
-    trial, dropped, position = accepted, [], n_base
-    while position < len(trial.model.effects) - 1:
-        effects = trial.model.effects
-        if effects[position].tells is not None:  # the data show it without a fit
-            position += 1
-            continue
-        model = replace(trial.model, effects=effects[:position] + effects[position + 1 :])
-        # Parameters are found by position: those of effects that occur several times get other names without one.
-        counts = [
-            sum(parameter.name not in trial.model.fixed for parameter in effect.parameters)
-            for effect in trial.model.named_effects
-        ]
-        begin = trial.fit.theta.size - sum(counts[position:])
-        try:
-            theta = np.delete(trial.fit.theta, np.s_[begin : begin + counts[position]])
-            without = trial_of_base(
-                model, log, split, seed=seed, particles=particles, theta=theta, path=trial.fit.path
-            )
-        except DensityError:
-            raise
-        except PmclError:
-            position += 1
-            continue
-        loss = paired_gain(trial.row_scores, without.row_scores, slice(split, None))
-        if loss.total < max(PRACTICAL, loss.se):
-            trial = replace(without, effect=trial.effect, z=trial.z)
-            dropped.append(position)
-        else:
-            position += 1
-    return trial, dropped

@@ -137,8 +137,6 @@ def judge(
         The K candidates that were scored.
     level : float
         Rate of false alarms.
-    rows : int, optional
-        Count only so many first rows of the scores (the part on which models are fitted).
 
     Returns
     -------
@@ -176,7 +174,7 @@ def judge(
     one_sided = np.array([direction.one_sided for direction in directions], dtype=bool)
     # Scores of the fitted parameters vanish in the log but for Monte Carlo error; those of the simulated logs do not.
     of_scores = deviations(
-        [sums_of_rows(log.scores[:, :rows], log.parameter_scores[:, :rows]) for log in logs], one_sided
+        [sums_of_rows(log.scores, log.parameter_scores) for log in logs], one_sided
     )
     score_z = of_scores.z
     features = scored.features

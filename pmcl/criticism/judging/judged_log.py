@@ -19,7 +19,7 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.streams import stream
 
-__all__ = ["JudgedLog", "in_doubt", "judge_log", "with_directions", "with_more_simulations", "with_split"]
+__all__ = ["JudgedLog", "in_doubt", "judge_log", "with_directions", "with_more_simulations"]
 
 Float = NDArray[np.float64]
 
@@ -41,21 +41,16 @@ class JudgedLog(NamedTuple):
         The log.
     judgement : Judgement
         Tests of all rows.
-    z : ndarray, shape (K,)
-        Standardised scores of the candidates over the rows of the fit part only.
     simulated : tuple of ScoredLog
         Logs that the fitted model simulates.
     """
 
     scored: ScoredLog
     judgement: Judgement
-    z: Float
     simulated: tuple[ScoredLog, ...]
 
 
-def judge_log(
-    log: RobotLog, fit: Fit, directions: Sequence[Direction], split: int, settings: Settings
-) -> JudgedLog:
+def judge_log(log: RobotLog, fit: Fit, directions: Sequence[Direction], settings: Settings) -> JudgedLog:
     """Score a log under a fitted model, and compare it with logs that this model simulates.
 
     Parameters
@@ -66,8 +61,6 @@ def judge_log(
         A fit of the whole log.
     directions : sequence of Direction
         K candidates.
-    split : int
-        First row of the held-out part.
     settings : Settings
         Settings of the run.
 
@@ -87,7 +80,7 @@ def judge_log(
         fit.bound, fit.theta, directions, path=fit.drawn_path, particles=settings.particles, paths=settings.paths,
         seed=seed,
     )  # fmt: skip
-    return _judged(scored, _simulated(log, fit, directions, range(count), settings), directions, split, settings)
+    return _judged(scored, _simulated(log, fit, directions, range(count), settings), directions, settings)
 
 
 def in_doubt(judgement: Judgement) -> bool:
@@ -96,7 +89,7 @@ def in_doubt(judgement: Judgement) -> bool:
 
 
 def with_more_simulations(
-    before: JudgedLog, log: RobotLog, fit: Fit, directions: Sequence[Direction], split: int, settings: Settings
+    before: JudgedLog, log: RobotLog, fit: Fit, directions: Sequence[Direction], settings: Settings
 ) -> JudgedLog:
     """Judge a log again with three times as many simulated logs.
 
@@ -107,14 +100,14 @@ def with_more_simulations(
     ----------
     before : JudgedLog
         The first judgement.
-    log, fit, directions, split, settings
+    log, fit, directions, settings
         As for :func:`judge_log`.
     """
     count = len(before.simulated)
     further = range(count, _MORE_SIMULATIONS * count)
     settings.tell(f"p = {before.judgement.p_value:.1e}: simulating {len(further)} more logs, to be sure")
     simulated = [*before.simulated, *_simulated(log, fit, directions, further, settings)]
-    return _judged(before.scored, simulated, directions, split, settings)
+    return _judged(before.scored, simulated, directions, settings)
 
 
 def _simulated(
@@ -146,9 +139,7 @@ def _simulated(
     return settings.mapped(simulate_and_score, "simulating logs", [""] * len(numbers))
 
 
-def with_directions(
-    before: JudgedLog, directions: Sequence[Direction], split: int, settings: Settings
-) -> JudgedLog:
+def with_directions(before: JudgedLog, directions: Sequence[Direction], settings: Settings) -> JudgedLog:
     """Judge other candidates, scored along the trajectories of an earlier judgement.
 
     Parameters
@@ -157,37 +148,16 @@ def with_directions(
         The earlier judgement.
     directions : sequence of Direction
         The other candidates.
-    split : int
-        First row of the held-out part.
     settings : Settings
         Settings of the run.
     """
     settings.tell(f"scoring {len(directions)} further directions")
     logs = [before.scored, *before.simulated]
     scored, *simulated = settings.mapped(lambda k: rescored(logs[k], directions), "scoring logs", [""] * len(logs))
-    return _judged(scored, simulated, directions, split, settings)
-
-
-def with_split(before: JudgedLog, directions: Sequence[Direction], split: int, settings: Settings) -> JudgedLog:
-    """Judge a log again with another first row of the held-out part.
-
-    Parameters
-    ----------
-    before : JudgedLog
-        The earlier judgement.
-    directions : sequence of Direction
-        The candidates, unchanged.
-    split : int
-        The new first row of the held-out part.
-    settings : Settings
-        Settings of the run.
-    """
-    return _judged(before.scored, before.simulated, directions, split, settings)
+    return _judged(scored, simulated, directions, settings)
 
 
 def _judged(
-    scored: ScoredLog, simulated: Sequence[ScoredLog], directions: Sequence[Direction], split: int, settings: Settings
+    scored: ScoredLog, simulated: Sequence[ScoredLog], directions: Sequence[Direction], settings: Settings
 ) -> JudgedLog:
-    on_fit = judge(scored, simulated, directions, level=settings.level, rows=split)
-    judgement = judge(scored, simulated, directions, level=settings.level)
-    return JudgedLog(scored, judgement, on_fit.z, tuple(simulated))
+    return JudgedLog(scored, judge(scored, simulated, directions, level=settings.level), tuple(simulated))

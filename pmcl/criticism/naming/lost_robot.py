@@ -6,19 +6,23 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
-from pmcl.criticism.fitting.quick_fit import Fit, quick_fit
+from pmcl.criticism.fitting.quick_fit import THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.naming.choice import confirmed_without_score
+from pmcl.criticism.naming.candidates import in_order, of_carrier, of_sensors
 from pmcl.criticism.naming.refits import Refits
-from pmcl.criticism.naming.shortlist import RankedEffect, of_carrier, of_sensors
 from pmcl.criticism.scoring.scores import Direction, effect_scores
 from pmcl.errors import FilterError
+from pmcl.filtering.paired_scores import block_sums
 
 __all__ = ["Recovery", "recover"]
 
-# The filter is run again with at most so many models (chosen by hand).
+# So many candidates are fitted thoroughly, and the filter is run again with at most so many models (chosen by hand).
 _FOLLOWED = 3
+# Significance level of the sign test over blocks of rows that replaces evidence when the filter is lost.
+_SIGN_TEST_LEVEL = 0.01
 
 
 class Recovery(NamedTuple):
@@ -69,24 +73,43 @@ def recover(
     except FilterError:
         return None
     refits.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
+    # Scores of a lost filter have an unknown distribution: they only give the order, and fits start without them.
     scores = effect_scores(fit.tables, refits.log, np.ascontiguousarray(fit.path.T[None]), directions)
     z = scores.sum(axis=1) / np.sqrt((scores**2).sum(axis=1) + np.finfo(float).tiny)
-    z = np.where([direction.one_sided for direction in directions], np.maximum(z, 0.0), z)
-    least_merit = 0.0
-    for offered in (of_carrier(directions, z, "motion"), of_sensors(directions, z)):
-        # The scores only rank the candidates, because their distribution is unknown here; fits start without them.
-        unranked = [RankedEffect(candidate.effect, 0.0) for candidate in offered]
-        refitted = refits.refit_leaders(current, refits.refit(current, unranked, lost=True))
-        trials += refitted
+    z = np.where([direction.one_sided for direction in directions], np.maximum(z, 0.0), np.abs(z))
+    candidates = in_order(directions, z, np.zeros(len(directions)))
+    least_evidence = 0.0
+    for offered in (of_carrier(candidates, "motion"), of_sensors(candidates)):
+        glances = refits.glances(current, offered)
+        by_blocks = sorted(glances, key=lambda trial: (-_gaining_blocks(trial, current).sum(), -trial.evidence))
+        best = max(glances, key=lambda trial: trial.evidence, default=None)
+        likely = by_blocks[:_FOLLOWED] + [trial for trial in by_blocks[_FOLLOWED:] if trial is best]
+        refitted = refits.longer(current, likely, THOROUGH)
+        trials += [*refitted, *(trial for trial in glances if not any(trial is other for other in likely))]
         confirmed = [
-            trial for trial in refitted if trial.merit > least_merit and confirmed_without_score(trial, current)
+            trial for trial in refitted if trial.evidence > least_evidence and _gains_everywhere(trial, current)
         ]
-        for trial in sorted(confirmed, key=lambda trial: -trial.merit)[:_FOLLOWED]:
-            bound = trial.model.bind(refits.log)
+        for trial in sorted(confirmed, key=lambda trial: -trial.evidence)[:_FOLLOWED]:
             try:
-                follow(quick_fit(bound, refits.seed, theta=trial.fit.theta, path=fit.path, draws=trial.fit.draws))
+                follow(trial.fit)
             except FilterError:
                 continue
             return Recovery(trial, trials)
-        least_merit = max((trial.merit for trial in confirmed), default=0.0)
+        least_evidence = max((trial.evidence for trial in confirmed), default=0.0)
     return None
+
+
+def _gaining_blocks(trial: Trial, current: Trial) -> NDArray[np.bool_]:
+    return block_sums(trial.row_scores - current.row_scores) > 0.0
+
+
+def _gains_everywhere(trial: Trial, current: Trial) -> bool:
+    """Return whether a trial gains in so many blocks of rows as chance hardly gives.
+
+    Some rows gain hundreds of nats where a filter is lost, so that standard errors of gains are hardly smaller than the
+    gains. An effect that the robot has gains nearly everywhere. An effect that only lets the filter pass the place
+    where it is lost gains there alone. A sign test over blocks of rows distinguishes the two.
+    """
+    gaining = _gaining_blocks(trial, current)
+    test = stats.binomtest(int(gaining.sum()), gaining.size, alternative="greater")
+    return float(test.pvalue) < _SIGN_TEST_LEVEL

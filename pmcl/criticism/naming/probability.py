@@ -1,9 +1,10 @@
 """How probable each explanation of a log is: nothing, an effect that was tried, or something that nobody has named.
 
 The posterior probability of an explanation is its prior probability times its evidence, over the sum of these. The
-evidence of an effect is :attr:`pmcl.criticism.fitting.trials.Trial.evidence`. It comes from particles, so that it is a
-random number itself; the probabilities told are means over this noise, and two effects whose evidences differ by less
-than their noise share the probability.
+evidence of an effect is :attr:`pmcl.criticism.fitting.trials.Trial.evidence`. It comes from particles and from a chain
+of some length, so that it is a random number itself; probabilities are means over this noise, and two effects whose
+evidences differ by less than their noise share the probability. These probabilities decide everything about a name:
+what is worth a longer fit, when the search ends, which name is told, and which others with it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.findings.parts import Alternative, FoundEffect
+from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging.alarms import Judgement
 from pmcl.criticism.scoring.scores import Direction, instance_key
@@ -24,19 +26,26 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import PREFIX
 
-__all__ = ["NOTHING_PRIOR", "Explanations", "explanations", "nothing_without_refits", "with_probabilities"]
+__all__ = [
+    "CREDIBLE", "LEAST_PROBABILITY", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
+    "log_prior_odds", "nothing_without_refits", "with_probabilities",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 
 NOTHING_PRIOR = 0.5
 """Prior probability that the model lacks nothing. The other half is shared alike by the families of effects that the
 log can show, by formulas, and by what no catalogue has; each family shares its part alike among its places."""
-# A fit at a glance misjudges a log score by so much more than its particles [nat]; see pmcl.criticism.fitting.
-_GLANCE_NOISE = 4.0
+LEAST_PROBABILITY = 0.01
+"""An explanation with a smaller probability is not worth a longer fit, and is not listed."""
+CREDIBLE = 0.9
+"""Explanations that have this probability together are the answer: one name, or the few that may be meant."""
+# What the length of a fit adds to the noise of an evidence: a standard deviation [nat], and a share of the evidence,
+# because a short chain leaves in the path what the path can absorb. Differences between fits of the same effects on
+# logs of analyses/hidden_effects (block 81): a glance finds 83 to 97 nats where a thorough fit finds 93 to 108.
+_FIT_NOISE = {GLANCE: (4.0, 0.1), BRIEF: (1.0, 0.02), THOROUGH: (0.0, 0.0)}
 # Draws of the noise over which probabilities are averaged; their own error is then below a per cent.
 _NOISE_DRAWS = 4000
-# Explanations below this probability are not listed.
-_LEAST_LISTED = 0.01
 _UNKNOWN = "unknown effect"
 
 
@@ -60,6 +69,24 @@ class Explanations(NamedTuple):
     effects: tuple[Effect, ...]
     probabilities: tuple[float, ...]
 
+    @property
+    def named(self) -> float:
+        """Probability of all effects that were tried."""
+        return sum(self.probabilities)
+
+    @property
+    def explained(self) -> bool:
+        """Whether the log is explained: little is left for nothing and for something unknown."""
+        return self.named >= CREDIBLE
+
+    @property
+    def credible(self) -> tuple[Effect, ...]:
+        """The fewest effects that have together the share :data:`CREDIBLE` of what all effects have."""
+        before = np.cumsum(self.probabilities) - self.probabilities
+        return tuple(
+            effect for effect, share in zip(self.effects, before, strict=True) if share < CREDIBLE * self.named
+        )
+
     def of(self, effect: Effect) -> float:
         """Return the probability of an effect at its place; zero if it was not tried."""
         key = instance_key(effect)
@@ -75,7 +102,7 @@ class Explanations(NamedTuple):
             if instance_key(other) != instance_key(effect)
         ]
         others += [Alternative(_UNKNOWN, {}, self.unknown), Alternative("nothing", {}, self.nothing)]
-        listed = [one for one in others if one.probability >= _LEAST_LISTED]
+        listed = [one for one in others if one.probability >= LEAST_PROBABILITY]
         return tuple(sorted(listed, key=lambda one: -one.probability))
 
 
@@ -143,12 +170,46 @@ def with_probabilities(found: FoundEffect, accepted: Trial, probable: Explanatio
     return replace(found, probability=probable.of(accepted.effect), alternatives=probable.beside(accepted.effect))
 
 
-def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]) -> float:
-    """Return the probability that a model lacks nothing, from the scores of all candidates alone.
+def log_prior_odds(effect: Effect, directions: Sequence[Direction]) -> float:
+    """Return the log of an effect's prior probability over that of nothing.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    directions : sequence of Direction
+        All candidates of the catalogue.
+    """
+    nothing, _, share = _priors([effect], directions, 1)
+    return float(np.log(share / nothing))
+
+
+def evidence_of_scores(directions: Sequence[Direction], judgement: Judgement) -> Float:
+    """Return the log evidence over nothing that the scores of candidates promise [nat].
 
     Near no effect, the log evidence of a candidate of size s is ``u s - s^2 I / 2`` for its score u and information I.
     Its mean over the prior of s has a closed form if that prior is a normal, cut at zero for one-sided candidates. This
-    is how evidence behaves for small effects; a large one would be refitted.
+    is how evidence behaves for small effects; a large one has to be refitted.
+
+    Parameters
+    ----------
+    directions : sequence of Direction
+        The K candidates.
+    judgement : Judgement
+        Tests of the log with their scores.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+    """
+    return np.array([
+        _evidence_of_score(direction, float(score), float(std))
+        for direction, score, std in zip(directions, judgement.score, judgement.score_std, strict=True)
+    ])  # fmt: skip
+
+
+def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]) -> float:
+    """Return the probability that a model lacks nothing, from the scores of all candidates alone.
 
     Parameters
     ----------
@@ -159,9 +220,9 @@ def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]
     """
     effects: dict[object, list[float]] = {}
     kept: dict[object, Effect] = {}
-    for direction, score, std in zip(directions, judgement.score, judgement.score_std, strict=True):
+    for direction, promised in zip(directions, evidence_of_scores(directions, judgement), strict=True):
         key = instance_key(direction.effect)
-        effects.setdefault(key, []).append(_evidence_of_score(direction, float(score), float(std)))
+        effects.setdefault(key, []).append(float(promised))
         kept[key] = direction.effect
     prior = _priors(list(kept.values()), directions, 1)
     # Of an effect with several strengths each is a model of its own, alike probable.
@@ -192,10 +253,10 @@ def _evidence_bound(p_value: float) -> float:
 
 
 def _noise(trial: Trial, current: Trial) -> float:
-    if np.isnan(trial.noise):
-        # A single pass has more noise than two by the root of two.
-        return float(np.hypot(np.sqrt(2.0) * np.nan_to_num(current.noise), _GLANCE_NOISE))
-    return trial.noise
+    # A single pass has more noise than two by the root of two.
+    particles = np.sqrt(2.0) * np.nan_to_num(current.noise) if np.isnan(trial.noise) else trial.noise
+    length, share = _FIT_NOISE[trial.effort]
+    return float(np.hypot(particles, length + share * abs(trial.evidence)))
 
 
 def _evidence_of_score(direction: Direction, score: float, std: float) -> float:

@@ -1,4 +1,15 @@
-"""The search for the effect that explains an alarm, in the catalogue and among formulas."""
+"""The search for the effect that explains an alarm, in the catalogue and among formulas.
+
+One quantity decides: the posterior probability of each explanation, see :mod:`pmcl.criticism.naming.probability`.
+
+1. The candidates whose scores promise most are fitted at a glance, and so is what the catalogue says looks like one of
+   those that may be right.
+2. Whatever may be right after a glance is fitted longer, and what may be right after that is fitted thoroughly.
+3. Formulas compete with the effects of the catalogue.
+4. The search goes on with further candidates until the effects that were tried have nearly all probability, or until
+   all candidates were tried.
+5. The most probable effect is the answer, with those that may be meant instead.
+"""
 
 from __future__ import annotations
 
@@ -6,49 +17,36 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from pmcl.criticism.findings.assemble import found_effect
 from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.findings.result import JudgedFit
-from pmcl.criticism.findings.verdict import WORTH_A_FORMULA
-from pmcl.criticism.fitting.quick_fit import Fit
-from pmcl.criticism.fitting.trials import PRACTICAL, Trial
-from pmcl.criticism.judging.alarms import Judgement
-from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_simulations, with_split
-from pmcl.criticism.naming.choice import choose, with_formulas, worth_it
-from pmcl.criticism.naming.formula_trials import FormulaTrials, refit_formulas
+from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Fit
+from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_simulations
+from pmcl.criticism.naming.candidates import RankedEffect, by_score, twins_of, untried
+from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
 from pmcl.criticism.naming.lost_robot import Recovery, recover
-from pmcl.criticism.naming.refits import Refits
-from pmcl.criticism.naming.scan import scan
-from pmcl.criticism.naming.shortlist import (
-    RankedEffect,
-    of_carrier,
-    of_whole_robot,
-    same_instance,
-    shortlist,
-    untried,
-    untried_twins,
+from pmcl.criticism.naming.probability import (
+    LEAST_PROBABILITY,
+    Explanations,
+    explanations,
+    with_probabilities,
 )
-from pmcl.criticism.scoring.scores import Direction, candidate_directions
+from pmcl.criticism.naming.refits import Refits
+from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
 from pmcl.criticism.settings import Settings
-from pmcl.errors import CriticismError
 from pmcl.logs.robot_log import RobotLog
-from pmcl.logs.schema import readings
 from pmcl.models.effects.effect import Effect
+from pmcl.streams import stream_seed
 
-__all__ = ["FIT_SHARE", "LATE_FIT_SHARE", "Outcome", "Search"]
+__all__ = ["Outcome", "Search"]
 
-# Both shares are chosen by hand.
-FIT_SHARE = 0.6
-"""Share of the rows on which models are fitted."""
-LATE_FIT_SHARE = 0.8
-"""Share of the rows on which models are fitted when an effect begins too late for :data:`FIT_SHARE`."""
-# Both parts of a log must have so many readings (chosen by hand).
-_LEAST_READINGS = 20
-# An effect comes late when the score of the fit part is less than this share of the score of the whole log; the square
-# root of the fit part's share, 0.77, is expected of an effect that is always there (chosen by hand).
-_LATE_SCORE_SHARE = 0.5
+# So many candidates are fitted at a glance at a time, the likeliest first. It decides how long a search takes, hardly
+# what it finds: the search goes on where these do not explain the log.
+_BATCH = 8
+# Effects that share the answer are scored with so many times as many particles: what tells them apart may be less than
+# the noise of the usual number.
+_FINER = 4
 
 
 class Outcome(NamedTuple):
@@ -62,16 +60,19 @@ class Outcome(NamedTuple):
         The description of that effect.
     trials : list of Trial
         All candidates that were refitted.
+    probable : Explanations
+        How probable each explanation is.
     """
 
     accepted: Trial | None
     found: FoundEffect | None
     trials: list[Trial]
+    probable: Explanations
 
     @property
     def certain(self) -> bool:
-        """Whether the effect is confirmed so clearly that an alarm in doubt need not be judged again."""
-        return self.accepted is not None and self.accepted.confirmed
+        """Whether an effect explains the log so clearly that an alarm in doubt need not be judged again."""
+        return self.accepted is not None and self.probable.explained
 
 
 class Search:
@@ -89,35 +90,18 @@ class Search:
         Directions of the candidates that the last judged model lacks.
     judged : JudgedLog
         The log judged under that model.
-    n_formulas : int
-        Formulas that the last search compared.
     """
 
     def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
         self.log, self.offered = log, tuple(offered)
-        split = int(FIT_SHARE * log.n_steps)
-        self.refits = Refits(log, settings, split)
-        parts = [_readings(log, rows) for rows in (slice(0, split), slice(split, None))]
-        if min(parts) < _LEAST_READINGS:
-            raise CriticismError(
-                f"{log.where}: expected at least {_LEAST_READINGS} readings in the first 60 % of the log and in the "
-                f"rest, but got {parts[0]} and {parts[1]}; record more"
-            )
+        self.refits = Refits(log, settings)
         self.directions: tuple[Direction, ...] = ()
         self.judged: JudgedLog
-        self.n_formulas = 0
-        # Candidates of the last search that were tried for their scores on all rows only.
-        self._only_by_all_rows: list[Effect] = []
 
     @property
     def settings(self) -> Settings:
         """Settings of the run; the numbers of particles may have grown."""
         return self.refits.settings
-
-    @property
-    def split(self) -> int:
-        """First row of the held-out part."""
-        return self.refits.split
 
     def use_particles(self, particles: int, finer: int) -> None:
         """Use other numbers of particles from now on.
@@ -132,25 +116,19 @@ class Search:
         self.refits.settings = replace(self.settings, particles=particles, finer=finer)
 
     def judge(self, fit: Fit) -> JudgedFit:
-        """Judge the log under a fit of the whole log."""
+        """Judge the log under a fit."""
         self.directions = self._directions_without(fit)
-        self.judged = judge_log(self.log, fit, self.directions, self.split, self.settings)
+        self.judged = judge_log(self.log, fit, self.directions, self.settings)
         self.refits.forget()
         return JudgedFit(fit, self.judged.scored, self.judged.judgement)
 
     def judge_again(self, last: JudgedFit) -> JudgedFit:
         """Judge a model with more simulated logs; refitted candidates are kept."""
-        self.judged = with_more_simulations(
-            self.judged, self.log, last.fit, self.directions, self.split, self.settings
-        )
+        self.judged = with_more_simulations(self.judged, self.log, last.fit, self.directions, self.settings)
         return replace(last, scored=self.judged.scored, judgement=self.judged.judgement)
 
     def _directions_without(self, fit: Fit) -> tuple[Direction, ...]:
         return candidate_directions(fit.bound.model.effects, fit.tables, self.log, self.offered)
-
-    def trial_of(self, last: JudgedFit) -> Trial:
-        """Fit the model of a judged fit on the fit part; gaps are always those of held-out data."""
-        return self.refits.base_trial(last.fit)
 
     def recover(self, fit: Fit, follow: Callable[[Fit], None]) -> Recovery | None:
         """Look for an effect with which the filter follows, see :func:`pmcl.criticism.naming.lost_robot.recover`.
@@ -165,15 +143,17 @@ class Search:
         self.directions = self._directions_without(fit)
         return recover(fit, self.directions, self.refits, follow)
 
-    def effect_shown_by_data(self, last: JudgedFit) -> Outcome | None:
+    def effect_shown_by_data(self, last: JudgedFit, current: Trial) -> Outcome | None:
         """Return an effect that the data show without a fit, as rounding shows in the digits of readings.
 
-        The spread of readings says little about such an effect. It is accepted unless it makes predictions worse.
+        The spread of readings says little about such an effect. It is accepted unless the log speaks against it.
 
         Parameters
         ----------
         last : JudgedFit
-            The current model.
+            The current model, fitted and judged.
+        current : Trial
+            The same model, scored.
         """
         shown = [
             direction.effect
@@ -181,186 +161,122 @@ class Search:
             if direction.effect.tells is not None and direction.effect.tells(self.log)
         ]
         for effect in shown:
-            trials = self.refits.refit(self.trial_of(last), [RankedEffect(effect, 0.0)])
-            for trial in trials:
-                if trial.on_all.total > -max(PRACTICAL, 2.0 * trial.on_all.se):
+            for trial in self._longer(current, self.refits.glances(current, [RankedEffect(effect, 0.0)])):
+                if trial.gain.total > -2.0 * trial.gain.se:
                     found = found_effect(trial, (), last.judgement, self.directions)
-                    return Outcome(trial, replace(found, p_value=0.0), [trial])
+                    probable = self._explanations(last, current, [trial])
+                    return Outcome(trial, replace(found, p_value=0.0), [trial], probable)
         return None
 
-    def explain(self, last: JudgedFit, current: Trial, thorough: bool = True) -> Outcome:
+    def explain(self, last: JudgedFit, current: Trial, further: bool = True) -> Outcome:
         """Look for the effect that explains the alarms of a model.
 
-        The likeliest candidates of the catalogue come first. If they do not explain the alarms, all effects of the
-        whole robot and formulas follow.
-
         Parameters
         ----------
         last : JudgedFit
-            The model, fitted to the whole log.
+            The model, fitted and judged.
         current : Trial
-            The same model, fitted on the fit part.
-        thorough : bool
+            The same model, scored.
+        further : bool
             Whether to go on if the likeliest candidates do not explain the alarms.
         """
-        refits, z = self.refits, self.judged.z
-        scanned = scan(
-            current.fit.bound, current.fit.theta, self.directions, z, self.settings.seed, self.settings.particles
-        )
-        chosen = shortlist(self.directions, z, scanned, last.judgement)
-        on_fit_part = [ranked.effect for ranked in shortlist(self.directions, z, scanned, None)]
-        self._only_by_all_rows = [
-            ranked.effect
-            for ranked in chosen
-            if not any(same_instance(ranked.effect, effect) for effect in on_fit_part)
+        candidates = by_score(self.directions, last.judgement)
+        formulas: FormulaCandidates | None = None
+        trials: list[Trial] = []
+        probable = self._explanations(last, current, trials, formulas)
+        chosen = candidates[:_BATCH]
+        while chosen:
+            trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
+            probable = self._explanations(last, current, trials, formulas)
+            chosen = _alike(candidates, trials, probable)
+            if chosen or not further:
+                continue
+            if formulas is None:
+                formulas = remarkable_formulas(last, self.judged, self.log, self.settings)
+                chosen = formulas.chosen
+            if not chosen and not probable.explained:
+                chosen = [one for one in untried(candidates, trials) if one.worth_a_fit][:_BATCH]
+        current, trials = self._finer(current, trials, probable)
+        probable = self._explanations(last, current, trials, formulas)
+        return self._answer(last, trials, probable, formulas)
+
+    def _explanations(
+        self, last: JudgedFit, current: Trial, trials: Sequence[Trial], formulas: FormulaCandidates | None = None
+    ) -> Explanations:
+        seed = stream_seed(self.settings.seed, "noise of evidences")
+        count = len(formulas.directions) if formulas is not None else 0
+        return explanations(current, trials, self.directions, count, last.judgement.p_value, seed)
+
+    def _refined(
+        self, last: JudgedFit, current: Trial, trials: list[Trial], formulas: FormulaCandidates | None
+    ) -> list[Trial]:
+        """Return the trials, after those that may be right were fitted longer."""
+        probable = self._explanations(last, current, trials, formulas)
+        may_be_right = [
+            trial for trial in trials if trial.glanced and probable.of(_effect(trial)) >= LEAST_PROBABILITY
         ]
-        trials = refits.refit(current, chosen)
-        best, _ = choose(trials)
-        if best is not None and best.absorber:
-            more = shortlist(self.directions, z, scanned, last.judgement, more=True)
-            trials += refits.refit(current, untried(more, trials), trials)
-            best, _ = choose(trials)
-        if best is not None and best.effect is not None:
-            trials += refits.refit(current, untried_twins(best.effect, self.directions, z, trials), trials)
-        critical_z = last.judgement.critical_z
-        current, trials = refits.with_more_particles(current, refits.refit_leaders(current, trials), critical_z)
-        best, _ = choose(trials)
-        late = thorough and self.comes_late(last)
-        # What the fit part does not show is sought on a longer one first, if the log says that it begins late.
-        if best is not None and worth_it(best, critical_z) and (best.on_fit.significant or not late):
-            if thorough and _explains_too_little(best, last.judgement):
-                return self._search_further(last, current, trials)
-            return self._beside_formulas(last, current, trials, self._formula_trials(last, current, best))
-        if not thorough or last.judgement.p_value > WORTH_A_FORMULA or late:
-            return Outcome(None, None, trials)
-        return self._search_further(last, current, trials)
+        trials = _replaced(trials, may_be_right, self.refits.longer(current, may_be_right, BRIEF))
+        probable = self._explanations(last, current, trials, formulas)
+        return self._longer(current, trials, probable.credible)
 
-    def explain_by_formula(self, last: JudgedFit, current: Trial) -> Outcome:
-        """Look for a formula only.
+    def _longer(self, current: Trial, trials: list[Trial], effects: Sequence[Effect] | None = None) -> list[Trial]:
+        """Return the trials, after those of some effects, or all, were fitted thoroughly."""
+        keys = None if effects is None else {instance_key(effect) for effect in effects}
+        some = [
+            trial
+            for trial in trials
+            if not trial.thorough and (keys is None or instance_key(_effect(trial)) in keys)
+        ]
+        return _replaced(trials, some, self.refits.longer(current, some, THOROUGH))
 
-        Parameters
-        ----------
-        last : JudgedFit
-            The model, fitted to the whole log.
-        current : Trial
-            The same model, fitted on the fit part.
-        """
-        return self._best_formula(self._formula_trials(last, current))
+    def _finer(
+        self, current: Trial, trials: list[Trial], probable: Explanations
+    ) -> tuple[Trial, list[Trial]]:
+        """Score those effects with more particles that share the answer."""
+        keys = {instance_key(effect) for effect in probable.credible}
+        sharing = [trial for trial in trials if instance_key(_effect(trial)) in keys]
+        if len(sharing) < 2:
+            return current, trials
+        same, finer = self.refits.finer(current, sharing, _FINER)
+        return same, _replaced(trials, sharing, finer)
 
-    def _formula_trials(self, last: JudgedFit, current: Trial, best: Trial | None = None) -> FormulaTrials:
-        found = refit_formulas(last, self.judged, self.directions, current, self.refits, best)
-        self.n_formulas = len(found.directions)
-        return found
-
-    def _search_further(self, last: JudgedFit, current: Trial, trials: list[Trial]) -> Outcome:
-        """Look among formulas and all effects of the whole robot, whatever their scores.
-
-        Formulas come first: beside one that explains the log, most of those effects gain next to nothing at a glance
-        and cost little time. Without one they all get a thorough fit.
-        """
-        formulas = self._formula_trials(last, current)
-        formula = self._best_formula(formulas).accepted
-        rivals = [formula] if formula is not None else []
-        everything = of_whole_robot(self.directions, self.judged.z)
-        refits = self.refits
-        if rivals:
-            trials = trials + refits.refit(current, untried(everything, trials), trials + rivals)
-        else:
-            trials = refits.refit_thoroughly(current, trials, everything)
-        trials = refits.refit_leaders(current, trials, rivals)
-        critical_z = last.judgement.critical_z
-        best, _ = choose(trials)
-        if best is None or not worth_it(best, critical_z):
-            # What explains the fit part best may be an accident of that part. Held-out rows confirm hardly one wrong
-            # effect in ten thousand, so that they may be asked about the others, too.
-            confirmed = [trial for trial in trials if trial.merit > 0.0 and worth_it(trial, critical_z)]
-            if not confirmed or self.comes_late(last):
-                outcome = self._best_formula(formulas)
-                return outcome._replace(trials=trials + outcome.trials)
-            outcome = self._beside_formulas(last, current, confirmed, formulas)
-            denied = [trial for trial in trials if not any(trial is other for other in confirmed)]
-            return outcome._replace(trials=outcome.trials + denied)
-        return self._beside_formulas(last, current, trials, formulas)
-
-    def _best_formula(self, formulas: FormulaTrials) -> Outcome:
-        """Return the best formula, if held-out rows confirm it, when no effect of the catalogue is confirmed."""
-        best, _ = choose(formulas.trials)
-        if best is None or not worth_it(best, formulas.critical_z):
-            return Outcome(None, None, formulas.trials)
-        found = self._found(best, (), formulas.judgement, formulas.directions, formulas.critical_z)
-        return Outcome(best, found, formulas.trials)
-
-    def _beside_formulas(
-        self, last: JudgedFit, current: Trial, trials: list[Trial], formulas: FormulaTrials
+    def _answer(
+        self, last: JudgedFit, trials: list[Trial], probable: Explanations, formulas: FormulaCandidates | None
     ) -> Outcome:
-        """Return the best effect of the catalogue, which is confirmed, or the formula that replaces it."""
-        best, twins = choose(trials)
-        assert best is not None
-        winner, _ = with_formulas(best, twins, formulas.trials, formulas.critical_z)
-        if winner is not best and winner.effect is not None:
-            # A formula is accepted only after all known effects of its carrier have been refitted.
-            known = untried(of_carrier(self.directions, self.judged.z, winner.effect.carrier), trials)
-            refits = self.refits
-            more = refits.refit_leaders(current, refits.refit(current, known, [best, winner]), [best])
-            confirmed = [trial for trial in more if worth_it(trial, last.judgement.critical_z)]
-            best, twins = choose([best, *confirmed, *(trial for trial in trials if trial is not best)])
-            assert best is not None
-            trials = trials + more
-        best, twins = with_formulas(best, twins, formulas.trials, formulas.critical_z)
-        if any(best is trial for trial in formulas.trials):
-            found = self._found(best, twins, formulas.judgement, formulas.directions, formulas.critical_z)
-        else:
-            found = self._found(best, twins, last.judgement, self.directions)
-        return Outcome(best, found, trials + formulas.trials)
-
-    def _found(
-        self,
-        best: Trial,
-        twins: Sequence[Trial],
-        judgement: Judgement,
-        directions: Sequence[Direction],
-        least_z: float = 0.0,
-    ) -> FoundEffect:
-        """Return an accepted effect, and say whether held-out rows helped to choose it.
-
-        They did when all rows moved the held-out part to the end of the log, when only the score on all rows made the
-        effect a candidate, or when its score on the fit part is not above `least_z`.
-        """
-        assert best.effect is not None
-        moved = self.split != int(FIT_SHARE * self.log.n_steps)
-        by_all_rows = any(same_instance(best.effect, effect) for effect in self._only_by_all_rows)
-        return replace(
-            found_effect(best, twins, judgement, directions),
-            chosen_on_all_rows=moved or by_all_rows or abs(best.z) < least_z,
-        )
-
-    def comes_late(self, last: JudgedFit) -> bool:
-        """Return whether some candidate has a remarkable score in the whole log and hardly one in the fit part."""
-        if self.split != int(FIT_SHARE * self.log.n_steps):
-            return False
-        later = int(LATE_FIT_SHARE * self.log.n_steps)
-        if _readings(self.log, slice(later, None)) < _LEAST_READINGS or last.judgement.p_value > WORTH_A_FORMULA:
-            return False
-        whole, early = np.abs(last.judgement.z), np.abs(self.judged.z)
-        return bool(((whole > last.judgement.critical_z) & (early < _LATE_SCORE_SHARE * whole)).any())
-
-    def split_at(self, share: float) -> None:
-        """Fit models on this share of the rows from now on, and hold out the rest."""
-        self.settings.tell(f"holding out the last {100 * (1 - share):.0f} % of the rows", "searching again")
-        self.refits.split = int(share * self.log.n_steps)
-        self.judged = with_split(self.judged, self.directions, self.split, self.settings)
+        """Return the most probable effect, if some effect is more probable than that none of them is right."""
+        by_key = {instance_key(_effect(trial)): trial for trial in trials}
+        credible = [by_key[instance_key(effect)] for effect in probable.credible]
+        lasting = [trial for trial in credible if trial.in_several_blocks]
+        if probable.named < 0.5 or not lasting:
+            return Outcome(None, None, trials, probable)
+        best = lasting[0]
+        twins = [trial for trial in credible if trial is not best]
+        judgement, directions = last.judgement, self.directions
+        if formulas is not None and any(direction.effect is best.effect for direction in formulas.directions):
+            judgement, directions = formulas.judgement, formulas.directions
+        found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
+        return Outcome(best, found, trials, probable)
 
 
-def _explains_too_little(best: Trial, judgement: Judgement) -> bool:
-    """Return whether a model gains less than the missing effect must be worth.
+def _alike(
+    candidates: Sequence[RankedEffect], trials: Sequence[Trial], probable: Explanations
+) -> list[RankedEffect]:
+    """Return the untried candidates that look like effects which may be right."""
+    may_be_right = [
+        effect
+        for effect, probability in zip(probable.effects, probable.probabilities, strict=True)
+        if probability >= LEAST_PROBABILITY
+    ]
+    return twins_of(may_be_right, untried(candidates, trials))
 
-    A number that deviates by z standard errors costs a model at least z^2 / 2 nats. A candidate that gains less may be
-    only related to the missing effect, and the best of many such candidates by chance.
-    """
-    return best.on_all.total < max((0.5 * alarm.z**2 for alarm in judgement.raised), default=0.0)
+
+def _effect(trial: Trial) -> Effect:
+    assert trial.effect is not None
+    return trial.effect
 
 
-def _readings(log: RobotLog, rows: slice) -> int:
-    """Return how many numbers the sensors have read in some rows."""
-    variables = (log.dataset[name].values[rows] for name in readings(log.dataset) if name in log.dataset)
-    return sum(int((~np.isnan(values)).sum()) for values in variables)
+def _replaced(trials: list[Trial], old: Sequence[Trial], new: Sequence[Trial]) -> list[Trial]:
+    """Return the trials with each of `old` replaced by the one of `new` at the same position."""
+    return [
+        next((after for after, before in zip(new, old, strict=True) if before is trial), trial) for trial in trials
+    ]

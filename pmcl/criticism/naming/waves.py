@@ -2,7 +2,7 @@
 
 There are too many waves of every period and phase to score each by itself. To first order, however, the score of a
 change ``c f(t)`` is the sum over rows of f(t) times the score of a steady change. The row scores of three steady
-changes therefore give the scores of all waves. The fit part of the log chooses period and phase, simulated logs give
+changes therefore give the scores of all waves. The log chooses period and phase, simulated logs give
 the critical value of the greatest of so many scores, and the wave is then a formula like any other.
 """
 
@@ -16,8 +16,8 @@ from scipy import optimize
 
 from pmcl.criticism.judging.alarms import BlockSums, OwnSpread, deviations, family_critical_z
 from pmcl.criticism.judging.judged_log import JudgedLog
+from pmcl.criticism.naming.candidates import RankedEffect
 from pmcl.criticism.naming.formulas import SteadyChange, steady_changes, wave
-from pmcl.criticism.naming.shortlist import RankedEffect
 from pmcl.criticism.scoring.scores import directions_of, effect_scores
 from pmcl.criticism.settings import Settings
 from pmcl.filtering.paired_scores import block_sums
@@ -29,8 +29,8 @@ __all__ = ["Waves", "remarkable_waves"]
 
 Float = NDArray[np.float64]
 
-# The fit part holds at least two periods, and a period at least eight rows. Neighbouring frequencies differ by half a
-# period over the fit part, and neighbouring phases by a quarter of pi; a wave between two of them keeps 92 % of its
+# The log holds at least two periods, and a period at least eight rows. Neighbouring frequencies differ by half a
+# period over the log, and neighbouring phases by a quarter of pi; a wave between two of them keeps 92 % of its
 # score. All are chosen by hand.
 _LEAST_PERIODS, _LEAST_ROWS = 2.0, 8.0
 _PHASES = 4
@@ -51,9 +51,7 @@ class Waves(NamedTuple):
     critical_z: float
 
 
-def remarkable_waves(
-    judged: JudgedLog, log: RobotLog, tables: Tables, split: int, settings: Settings, least_z: float = 0.0
-) -> Waves:
+def remarkable_waves(judged: JudgedLog, log: RobotLog, tables: Tables, settings: Settings) -> Waves:
     """Look for waves in the row scores of steady changes.
 
     Parameters
@@ -64,33 +62,29 @@ def remarkable_waves(
         The log.
     tables : Tables
         Coefficient tables of the fitted model.
-    split : int
-        First row of the held-out part, which is not used.
     settings : Settings
         Settings of the run.
-    least_z : float
-        Return only waves with a greater standardised score than this.
     """
     changes = steady_changes(tables, log.n_steps)
-    times = log.times[:split] - log.times[0]
+    times = log.times - log.times[0]
     frequencies = _frequencies(times)
     if not changes or frequencies.size == 0:
         return Waves([], np.inf)
     settings.tell(f"looking for waves of {1 / frequencies[-1]:.3g} to {1 / frequencies[0]:.3g} s")
     phases = np.pi * np.arange(_PHASES) / _PHASES
-    profiles = np.cos(2.0 * np.pi * frequencies[:, None, None] * times + phases[:, None]).reshape(-1, split)
+    profiles = np.cos(2.0 * np.pi * frequencies[:, None, None] * times + phases[:, None]).reshape(-1, log.n_steps)
     directions = directions_of([change.effect for change in changes])
     logs = [judged.scored, *judged.simulated]
 
     def score(k: int) -> Float:
         source = logs[k].source
         tables_of_log = source.bound.tables(source.theta)[0]
-        return effect_scores(tables_of_log, source.bound.logs[0], source.columns, directions)[:, :split]
+        return effect_scores(tables_of_log, source.bound.logs[0], source.columns, directions)
 
     steady_scores = settings.mapped(score, "looking for waves in logs", [""] * len(logs))
     deviation = deviations(
         [
-            _sums_of_waves(scores, scored_log.parameter_scores[:, :split], profiles)
+            _sums_of_waves(scores, scored_log.parameter_scores, profiles)
             for scored_log, scores in zip(logs, steady_scores, strict=True)
         ],
         np.zeros(len(changes) * len(profiles), dtype=bool),
@@ -99,7 +93,7 @@ def remarkable_waves(
     z = np.abs(deviation[0]).reshape(len(changes), frequencies.size, _PHASES)
     best = []
     for change, scores, of_change in zip(changes, steady_scores[0], z, strict=True):
-        if of_change.max() > max(critical_z, least_z):
+        if of_change.max() > critical_z:
             k = int(of_change.max(axis=1).argmax())
             effect = _best_wave(change, scores, times, frequencies, k, log)
             best.append(RankedEffect(effect, float(of_change.max())))
@@ -120,11 +114,11 @@ def _sums_of_waves(scores: Float, parameters: Float, profiles: Float) -> BlockSu
 
     Parameters
     ----------
-    scores : ndarray, shape (C, split)
+    scores : ndarray, shape (C, T)
         Row scores of steady changes.
-    parameters : ndarray, shape (d, split)
+    parameters : ndarray, shape (d, T)
         Row scores of the model's own parameters.
-    profiles : ndarray, shape (P, split)
+    profiles : ndarray, shape (P, T)
         The waves.
 
     Returns
@@ -155,9 +149,9 @@ def _best_wave(
     ----------
     change : SteadyChange
         The change that oscillates.
-    scores : ndarray, shape (split,)
-        Its row scores on the fit part.
-    times : ndarray, shape (split,)
+    scores : ndarray, shape (T,)
+        Its row scores.
+    times : ndarray, shape (T,)
         Times of the rows since the start of the log [s].
     frequencies : ndarray
         The grid [1/s].

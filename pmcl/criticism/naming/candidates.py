@@ -1,0 +1,156 @@
+"""Candidates before they are refitted: their order, and which of them look alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.judging.alarms import Judgement
+from pmcl.criticism.naming.probability import evidence_of_scores
+from pmcl.criticism.scoring.scores import Direction, instance_key
+from pmcl.models.effects.effect import Effect
+
+__all__ = ["RankedEffect", "are_near_twins", "by_score", "in_order", "of_carrier", "of_sensors", "twins_of", "untried"]
+
+Float = NDArray[np.float64]
+
+# Of a family with many places so many instances are refitted: two beams may be much alike. One is enough where a fit
+# moves the effect to its place.
+_INSTANCES = 2
+
+
+class RankedEffect(NamedTuple):
+    """A candidate with its standardised score.
+
+    Attributes
+    ----------
+    effect : Effect
+        The candidate, at one place.
+    z : float
+        Its standardised score.
+    worth_a_fit : bool
+        Whether its score promises evidence, or says little: the path absorbs most of a constant error of the mount or
+        of the odometry, so that it shows only in a fit. The path absorbs no error at a single place and no one-sided
+        effect, such as the weight of a mixture; without a score these are absent.
+    """
+
+    effect: Effect
+    z: float
+    worth_a_fit: bool = True
+
+
+def by_score(directions: Sequence[Direction], judgement: Judgement) -> list[RankedEffect]:
+    """Return all candidates, those first whose scores promise the greatest evidence.
+
+    Parameters
+    ----------
+    directions : sequence of Direction
+        All K directions.
+    judgement : Judgement
+        Tests of the log with their scores.
+
+    Returns
+    -------
+    list of RankedEffect
+        Of each effect with many places only the best instances.
+    """
+    return in_order(directions, evidence_of_scores(directions, judgement), judgement.z)
+
+
+def in_order(directions: Sequence[Direction], promised: Float, z: Float) -> list[RankedEffect]:
+    """Return candidates, those first that promise most.
+
+    Parameters
+    ----------
+    directions : sequence of Direction
+        All K directions.
+    promised : ndarray, shape (K,)
+        What each promises: its log evidence over nothing, or what takes its place.
+    z : ndarray, shape (K,)
+        Their standardised scores.
+
+    Returns
+    -------
+    list of RankedEffect
+        Of each effect with many places only the best instances.
+    """
+    kept: dict[str, list[Effect]] = {}
+    ranked = []
+    for k in np.argsort(-promised, kind="stable"):
+        effect = directions[k].effect
+        alike = kept.setdefault(effect.name, [])
+        if any(instance_key(effect) == instance_key(other) for other in alike):
+            continue
+        if len(alike) < (1 if effect.shape else _INSTANCES):
+            absorbed = not effect.where and not directions[k].one_sided
+            alike.append(effect)
+            ranked.append(RankedEffect(effect, float(z[k]), bool(promised[k] > 0.0) or absorbed))
+    return ranked
+
+
+def of_carrier(candidates: Sequence[RankedEffect], carrier: str) -> list[RankedEffect]:
+    """Return the candidates of one carrier that have no place.
+
+    Parameters
+    ----------
+    candidates : sequence of RankedEffect
+        Candidates.
+    carrier : str
+        One of :data:`pmcl.models.effects.effect.CARRIERS`.
+    """
+    return [one for one in candidates if one.effect.carrier == carrier and not one.effect.where]
+
+
+def of_sensors(candidates: Sequence[RankedEffect]) -> list[RankedEffect]:
+    """Return the candidates that are effects of sensors."""
+    return [one for one in candidates if one.effect.carrier not in ("motion", "map")]
+
+
+def twins_of(effects: Sequence[Effect], candidates: Sequence[RankedEffect]) -> list[RankedEffect]:
+    """Return those candidates of which the catalogue says that they look like one of some effects.
+
+    A twin that the path absorbs has hardly a score: a constant error of bearings looks like another heading. Of a twin
+    with many places only the first instance is returned.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        The effects.
+    candidates : sequence of RankedEffect
+        The candidates, the likeliest first.
+    """
+    twins: dict[str, RankedEffect] = {}
+    for candidate in candidates:
+        if any(are_near_twins(candidate.effect, effect) for effect in effects):
+            twins.setdefault(candidate.effect.name, candidate)
+    return list(twins.values())
+
+
+def untried(candidates: Sequence[RankedEffect], trials: Sequence[Trial]) -> list[RankedEffect]:
+    """Return those candidates that were not refitted yet.
+
+    Parameters
+    ----------
+    candidates : sequence of RankedEffect
+        Candidates.
+    trials : sequence of Trial
+        What was refitted.
+    """
+    tried = {instance_key(trial.effect) for trial in trials if trial.effect is not None}
+    return [candidate for candidate in candidates if instance_key(candidate.effect) not in tried]
+
+
+def are_near_twins(effect: Effect, other: Effect) -> bool:
+    """Return whether the catalogue knows that two different effects look alike.
+
+    Parameters
+    ----------
+    effect, other : Effect
+        The effects; their places do not matter.
+    """
+    return effect.name != other.name and (effect.name in other.near_twins or other.name in effect.near_twins)
+
