@@ -79,8 +79,8 @@ def test_evidences_that_differ_by_less_than_their_noise_share_the_probability():
     )
     # Four thousand draws.
     assert noisy.of(one) == pytest.approx(expected, abs=0.02)
-    # A single pass cannot tell its noise: it has more than two passes. A short fit is further off.
-    glance = told([trial(one, 104.0, np.nan, GLANCE), trial(other, 100.0, np.nan, GLANCE)], noise=3.0)
+    # A short fit is further off.
+    glance = told([trial(one, 104.0, 3.0, GLANCE), trial(other, 100.0, 3.0, GLANCE)])
     brief = told([trial(one, 104.0, 3.0, BRIEF), trial(other, 100.0, 3.0, BRIEF)])
     assert 0.5 < glance.of(one) < brief.of(one) < noisy.of(one)
 

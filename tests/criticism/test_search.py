@@ -60,7 +60,7 @@ class Case:
             return replace(trial, effort=effort)
 
         def scored(trial, current, *, particles, **settings):
-            self.done.append((trial.effect.name if trial.effect else "nothing", "finer"))
+            self.done.append((trial.effect.name, "finer"))
             return replace(trial, particles=particles)
 
         monkeypatch.setattr(refits, "try_effect", tried)
@@ -100,7 +100,7 @@ def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_
     outcome = case.explain()
     assert {outcome.found.name, *outcome.found.not_distinguishable_from} == {"odometry-side-drift", "sensor-yaw"}
     assert set(case.names("thorough")) == {"odometry-side-drift", "sensor-yaw"}
-    assert set(case.names("finer")) == {"nothing", "odometry-side-drift", "sensor-yaw"}
+    assert set(case.names("finer")) == {"odometry-side-drift", "sensor-yaw"}
     assert outcome.found.probability + sum(one.probability for one in outcome.found.alternatives) > 0.98
 
 

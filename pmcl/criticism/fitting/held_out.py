@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, Fit, quick_fit
 from pmcl.filtering.not_a_number import parameters_told
@@ -47,8 +48,8 @@ class RowScores(NamedTuple):
     rows : ndarray, shape (T,)
         Log scores [nat].
     noise : float
-        Standard deviation that their sum has because particles are random [nat]; NaN from a single pass, which cannot
-        tell.
+        Standard deviation that their sum has because particles are random [nat], to first order; NaN from a single
+        pass, which cannot tell.
     """
 
     rows: Float
@@ -96,7 +97,9 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
         ]
     noise = float("nan")
     if passes > 1:
-        noise = float(np.sqrt(np.var(increments, axis=0, ddof=1).sum() / passes))
+        # Of densities, not of their logs: the mean of densities hardly depends on a pass that misses what is read.
+        relative = np.exp(increments - special.logsumexp(increments, axis=0)) * passes
+        noise = float(np.sqrt(np.var(relative, axis=0, ddof=1).sum() / passes))
     return RowScores(pooled_increments(increments), noise)
 
 

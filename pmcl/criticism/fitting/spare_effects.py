@@ -51,7 +51,7 @@ def without_spare_effects(
 
 def _evidence_for(trial: Trial, without: Trial) -> float:
     """Return the log evidence for the effect that only one of two models has [nat]."""
-    gain = float(trial.row_scores.sum() - without.row_scores.sum())
+    gain = float(trial.row_scores.sum() - without.row_scores.sum()) + 0.5 * (trial.noise**2 - without.noise**2)
     return gain + log_prior_and_volume(trial.fit) - log_prior_and_volume(without.fit)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from pmcl.criticism.fitting.evidence import nested_evidence
 from pmcl.criticism.fitting.held_out import row_scores
 from pmcl.criticism.fitting.quick_fit import GLANCE, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.scoring.scores import probe_values
@@ -26,6 +27,8 @@ Float = NDArray[np.float64]
 
 # The refit of a candidate starts at this share of its clear magnitude (chosen by hand).
 _START_SHARE = 0.25
+# All gains are over the current model, whose score is therefore the mean of so many passes of the filter.
+_PASSES_OF_CURRENT = 8
 # Added to the diagonal of a covariance, in units of its own diagonal: a parameter that a short chain has not moved.
 _RIDGE = 1e-9
 
@@ -49,14 +52,17 @@ class Trial:
     gain : Gain
         Gain of its row scores over those of the current model.
     evidence : float
-        Its log evidence less that of the current model [nat], see :func:`log_prior_and_volume`.
+        Its log evidence less that of the current model [nat]: from its draws where these come near no effect
+        (:func:`pmcl.criticism.fitting.evidence.nested_evidence`), else from the gain (:func:`log_prior_and_volume`).
     noise : float
-        Standard deviation of the sum of its row scores, because particles are random [nat]; NaN from one pass, which
-        cannot tell.
+        Standard deviation of its evidence: from its draws, or because the particles that scored it are random [nat]. A
+        single pass cannot tell the latter; it then has the noise of one pass of the current model.
     particles : int
         Particles of the filter that scored the rows.
     effort : Effort
         Length of the fit.
+    nested : bool
+        Whether its evidence is from its draws.
     """
 
     effect: Effect | None
@@ -69,6 +75,7 @@ class Trial:
     noise: float
     particles: int
     effort: Effort = THOROUGH
+    nested: bool = False
 
     @property
     def p_value(self) -> float:
@@ -89,9 +96,10 @@ class Trial:
     def in_several_blocks(self) -> bool:
         """Whether something is left of its evidence without the block of rows that gains most.
 
-        One row may gain a dozen nats by accident; an effect that the robot has gains again.
+        One row may gain a dozen nats by accident of its particles; an effect that the robot has gains again. Evidence
+        from draws has no such accidents.
         """
-        return self.evidence - self.gain.largest > 0.0
+        return self.nested or self.evidence - self.gain.largest > 0.0
 
 
 def log_prior_and_volume(fit: Fit) -> float:
@@ -207,13 +215,12 @@ def scored_anew(trial: Trial, current: Trial, *, seed: int, particles: int) -> T
     trial : Trial
         The trial.
     current : Trial
-        The current model, scored with the same number of particles; it may be the trial itself.
+        The current model.
     seed, particles
         As for :func:`try_effect`.
     """
-    same = None if trial is current else current
     return _scored(
-        trial.effect, trial.model, trial.fit, trial.z, same, seed=seed, particles=particles, effort=trial.effort
+        trial.effect, trial.model, trial.fit, trial.z, current, seed=seed, particles=particles, effort=trial.effort
     )
 
 
@@ -242,12 +249,25 @@ def _scored(
     effort: Effort,
 ) -> Trial:
     """Return a fitted model as a trial; it is compared with itself when there is no current model."""
-    scores = row_scores(fit.bound, fit.theta, particles=particles, seed=seed, passes=effort.passes)
-    gain, evidence = Gain(0.0, 0.0), 0.0
+    passes = _PASSES_OF_CURRENT if current is None else effort.passes
+    scores = row_scores(fit.bound, fit.theta, particles=particles, seed=seed, passes=passes)
+    gain, evidence, noise = Gain(0.0, 0.0), 0.0, scores.noise
     if current is not None:
+        noise = current.noise * np.sqrt(_PASSES_OF_CURRENT) if passes == 1 else noise
         gain = paired_gain(scores.rows, current.row_scores, slice(None))
-        evidence = gain.total + log_prior_and_volume(fit) - log_prior_and_volume(current.fit)
-    return Trial(effect, model, fit, scores.rows, z, gain, evidence, scores.noise, particles, effort)
+        # The log of an estimate lies below the log of what it estimates, by half of its variance on average.
+        evidence = gain.total + 0.5 * (noise**2 - current.noise**2)
+        evidence += log_prior_and_volume(fit) - log_prior_and_volume(current.fit)
+    trial = Trial(effect, model, fit, scores.rows, z, gain, evidence, noise, particles, effort)
+    if effect is None or trial.glanced:
+        return trial
+    nested = nested_evidence(fit, model.effects[-1], _free_parameters(model))
+    return trial if nested is None else replace(trial, evidence=nested.value, noise=nested.noise, nested=True)
+
+
+def _free_parameters(model: RobotModel) -> NDArray[np.bool_]:
+    """Return which parameters of a model's newest effect are fitted."""
+    return np.array([parameter.name not in model.fixed for parameter in model.named_effects[-1].parameters])
 
 
 def _start_values(effect: Effect, z: float) -> Float:

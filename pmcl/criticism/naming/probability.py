@@ -27,7 +27,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import PREFIX
 
 __all__ = [
-    "CREDIBLE", "LEAST_PROBABILITY", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
+    "CREDIBLE", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
     "log_prior_odds", "nothing_without_refits", "with_probabilities",
 ]  # fmt: skip
 
@@ -36,10 +36,11 @@ Float = NDArray[np.float64]
 NOTHING_PRIOR = 0.5
 """Prior probability that the model lacks nothing. The other half is shared alike by the families of effects that the
 log can show, by formulas, and by what no catalogue has; each family shares its part alike among its places."""
-LEAST_PROBABILITY = 0.01
-"""An explanation with a smaller probability is not worth a longer fit, and is not listed."""
 CREDIBLE = 0.9
-"""Explanations that have this probability together are the answer: one name, or the few that may be meant."""
+"""Explanations that have this probability together are the answer: one name, or the few that may be meant. What can
+have the rest of it is worth a longer fit."""
+# Explanations below this probability are not listed.
+_LEAST_LISTED = 0.01
 # What the length of a fit adds to the noise of an evidence: a standard deviation [nat], and a share of the evidence,
 # because a short chain leaves in the path what the path can absorb. Differences between fits of the same effects on
 # logs of analyses/hidden_effects (block 81): a glance finds 83 to 97 nats where a thorough fit finds 93 to 108.
@@ -62,12 +63,15 @@ class Explanations(NamedTuple):
         The effects that were tried, the most probable first.
     probabilities : tuple of float
         Their probabilities.
+    may_be_right : tuple of Effect
+        Those that would belong to the answer if their evidence were a standard deviation of its noise greater.
     """
 
     nothing: float
     unknown: float
     effects: tuple[Effect, ...]
     probabilities: tuple[float, ...]
+    may_be_right: tuple[Effect, ...] = ()
 
     @property
     def named(self) -> float:
@@ -78,6 +82,11 @@ class Explanations(NamedTuple):
     def explained(self) -> bool:
         """Whether the log is explained: little is left for nothing and for something unknown."""
         return self.named >= CREDIBLE
+
+    @property
+    def likely(self) -> bool:
+        """Whether it is more probable that one of the effects is right than that none is."""
+        return self.named > 0.5
 
     @property
     def credible(self) -> tuple[Effect, ...]:
@@ -102,7 +111,7 @@ class Explanations(NamedTuple):
             if instance_key(other) != instance_key(effect)
         ]
         others += [Alternative(_UNKNOWN, {}, self.unknown), Alternative("nothing", {}, self.nothing)]
-        listed = [one for one in others if one.probability >= LEAST_PROBABILITY]
+        listed = [one for one in others if one.probability >= _LEAST_LISTED]
         return tuple(sorted(listed, key=lambda one: -one.probability))
 
 
@@ -140,17 +149,26 @@ def explanations(
             best[key] = trial
     ranked = list(best.values())
     effects = [trial.effect for trial in ranked if trial.effect is not None]
-    prior = _priors(effects, directions, max(formulas, 1))
-    evidence = np.array([0.0, _evidence_bound(p_value), *(trial.evidence for trial in ranked)])
-    noise = np.array([current.noise, 0.0, *(_noise(trial, current) for trial in ranked)])
-    count = _NOISE_DRAWS if noise.any() else 1
-    draws = make_rng(seed).standard_normal((count, evidence.size)) * noise
-    # What the base model's own score is wrong by, all gains are; the bound of the unknown has nothing to do with it.
-    probability = special.softmax(np.log(prior) + evidence + draws, axis=1).mean(axis=0)
-    order = np.argsort(-probability[2:])
+    prior = np.log(_priors(effects, directions, max(formulas, 1)))
+    none = prior[:2] + np.array([0.0, _evidence_bound(p_value)])
+    some = prior[2:] + np.array([trial.evidence for trial in ranked])
+    noise = np.array([_noise(trial) for trial in ranked])
+    rng = make_rng(seed)
+    # What the current model's own score is wrong by, all gains are.
+    common = current.noise * rng.standard_normal(_NOISE_DRAWS if current.noise > 0.0 else 1)
+    of_some = np.full(common.size, special.logsumexp(some) if some.size else -np.inf)
+    nothing, unknown, named = special.softmax([none[0] + common, none[1] + common, of_some], axis=0).mean(axis=1)
+    # Noise tells which effect has the share of all effects, not how great that share is: the greatest of many evidences
+    # is too great by accident already.
+    draws = rng.standard_normal((_NOISE_DRAWS if noise.any() else 1, noise.size)) * noise
+    probability = named * special.softmax(some + draws, axis=1).mean(axis=0) if some.size else some
+    hopeful = [
+        special.softmax([*none, *np.delete(some, k), some[k] + noise[k]])[-1] > 1.0 - CREDIBLE for k in range(some.size)
+    ]
+    order = np.argsort(-probability)
     return Explanations(
-        float(probability[0]), float(probability[1]), tuple(effects[k] for k in order),
-        tuple(float(probability[2 + k]) for k in order),
+        float(nothing), float(unknown), tuple(effects[k] for k in order), tuple(float(probability[k]) for k in order),
+        tuple(effects[k] for k in order if hopeful[k]),
     )  # fmt: skip
 
 
@@ -252,11 +270,11 @@ def _evidence_bound(p_value: float) -> float:
     return float(-np.log(-np.e * p * np.log(p))) if p < 1.0 / np.e else 0.0
 
 
-def _noise(trial: Trial, current: Trial) -> float:
-    # A single pass has more noise than two by the root of two.
-    particles = np.sqrt(2.0) * np.nan_to_num(current.noise) if np.isnan(trial.noise) else trial.noise
+def _noise(trial: Trial) -> float:
+    if trial.nested:
+        return trial.noise
     length, share = _FIT_NOISE[trial.effort]
-    return float(np.hypot(particles, length + share * abs(trial.evidence)))
+    return float(np.hypot(trial.noise, length + share * abs(trial.evidence)))
 
 
 def _evidence_of_score(direction: Direction, score: float, std: float) -> float:

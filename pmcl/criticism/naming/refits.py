@@ -103,8 +103,8 @@ class Refits:
             self._remember(trial)
         return longer
 
-    def finer(self, current: Trial, trials: Sequence[Trial], times: int) -> tuple[Trial, list[Trial]]:
-        """Score models with more particles.
+    def finer(self, current: Trial, trials: Sequence[Trial], times: int) -> list[Trial]:
+        """Score trials with more particles.
 
         Parameters
         ----------
@@ -117,18 +117,14 @@ class Refits:
 
         Returns
         -------
-        current : Trial
-            The current model, scored anew.
-        trials : list of Trial
-            The trials, scored anew, in the same order.
+        list of Trial
+            In the same order.
         """
-        particles = times * current.particles
-        same = scored_anew(current, current, seed=self.seed, particles=particles)
 
         def score(k: int) -> Trial:
-            return scored_anew(trials[k], same, seed=self.seed, particles=particles)
+            return scored_anew(trials[k], current, seed=self.seed, particles=times * current.particles)
 
-        return same, self.settings.mapped(score, "scoring with more particles", _names_of(trials))
+        return self.settings.mapped(score, "scoring with more particles", _names_of(trials))
 
     def _remember(self, trial: Trial) -> None:
         assert trial.effect is not None

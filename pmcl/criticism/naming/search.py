@@ -4,7 +4,7 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
 
 1. The candidates whose scores promise most are fitted at a glance, and so is what the catalogue says looks like one of
    those that may be right.
-2. Whatever may be right after a glance is fitted longer, and what may be right after that is fitted thoroughly.
+2. Whatever may be right after a glance is fitted longer, and what may be the answer after that is fitted thoroughly.
 3. Formulas compete with the effects of the catalogue.
 4. The search goes on with further candidates until the effects that were tried have nearly all probability, or until
    all candidates were tried.
@@ -26,12 +26,7 @@ from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_si
 from pmcl.criticism.naming.candidates import RankedEffect, by_score, twins_of, untried
 from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
 from pmcl.criticism.naming.lost_robot import Recovery, recover
-from pmcl.criticism.naming.probability import (
-    LEAST_PROBABILITY,
-    Explanations,
-    explanations,
-    with_probabilities,
-)
+from pmcl.criticism.naming.probability import Explanations, explanations, with_probabilities
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
 from pmcl.criticism.settings import Settings
@@ -188,7 +183,7 @@ class Search:
         while chosen:
             trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
             probable = self._explanations(last, current, trials, formulas)
-            chosen = _alike(candidates, trials, probable)
+            chosen = twins_of(probable.may_be_right, untried(candidates, trials))
             if chosen or not further:
                 continue
             if formulas is None:
@@ -196,7 +191,7 @@ class Search:
                 chosen = formulas.chosen
             if not chosen and not probable.explained:
                 chosen = [one for one in untried(candidates, trials) if one.worth_a_fit][:_BATCH]
-        current, trials = self._finer(current, trials, probable)
+        trials = self._finer(current, trials, probable)
         probable = self._explanations(last, current, trials, formulas)
         return self._answer(last, trials, probable, formulas)
 
@@ -212,12 +207,11 @@ class Search:
     ) -> list[Trial]:
         """Return the trials, after those that may be right were fitted longer."""
         probable = self._explanations(last, current, trials, formulas)
-        may_be_right = [
-            trial for trial in trials if trial.glanced and probable.of(_effect(trial)) >= LEAST_PROBABILITY
-        ]
-        trials = _replaced(trials, may_be_right, self.refits.longer(current, may_be_right, BRIEF))
+        keys = {instance_key(effect) for effect in probable.may_be_right}
+        glanced = [trial for trial in trials if trial.glanced and instance_key(_effect(trial)) in keys]
+        trials = _replaced(trials, glanced, self.refits.longer(current, glanced, BRIEF))
         probable = self._explanations(last, current, trials, formulas)
-        return self._longer(current, trials, probable.credible)
+        return self._longer(current, trials, probable.credible if probable.likely else ())
 
     def _longer(self, current: Trial, trials: list[Trial], effects: Sequence[Effect] | None = None) -> list[Trial]:
         """Return the trials, after those of some effects, or all, were fitted thoroughly."""
@@ -229,16 +223,13 @@ class Search:
         ]
         return _replaced(trials, some, self.refits.longer(current, some, THOROUGH))
 
-    def _finer(
-        self, current: Trial, trials: list[Trial], probable: Explanations
-    ) -> tuple[Trial, list[Trial]]:
+    def _finer(self, current: Trial, trials: list[Trial], probable: Explanations) -> list[Trial]:
         """Score those effects with more particles that share the answer."""
         keys = {instance_key(effect) for effect in probable.credible}
-        sharing = [trial for trial in trials if instance_key(_effect(trial)) in keys]
-        if len(sharing) < 2:
-            return current, trials
-        same, finer = self.refits.finer(current, sharing, _FINER)
-        return same, _replaced(trials, sharing, finer)
+        sharing = [trial for trial in trials if instance_key(_effect(trial)) in keys and not trial.nested]
+        if len(sharing) < 2 or not probable.likely:
+            return trials
+        return _replaced(trials, sharing, self.refits.finer(current, sharing, _FINER))
 
     def _answer(
         self, last: JudgedFit, trials: list[Trial], probable: Explanations, formulas: FormulaCandidates | None
@@ -247,7 +238,7 @@ class Search:
         by_key = {instance_key(_effect(trial)): trial for trial in trials}
         credible = [by_key[instance_key(effect)] for effect in probable.credible]
         lasting = [trial for trial in credible if trial.in_several_blocks]
-        if probable.named < 0.5 or not lasting:
+        if not probable.likely or not lasting:
             return Outcome(None, None, trials, probable)
         best = lasting[0]
         twins = [trial for trial in credible if trial is not best]
@@ -256,18 +247,6 @@ class Search:
             judgement, directions = formulas.judgement, formulas.directions
         found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
         return Outcome(best, found, trials, probable)
-
-
-def _alike(
-    candidates: Sequence[RankedEffect], trials: Sequence[Trial], probable: Explanations
-) -> list[RankedEffect]:
-    """Return the untried candidates that look like effects which may be right."""
-    may_be_right = [
-        effect
-        for effect, probability in zip(probable.effects, probable.probabilities, strict=True)
-        if probability >= LEAST_PROBABILITY
-    ]
-    return twins_of(may_be_right, untried(candidates, trials))
 
 
 def _effect(trial: Trial) -> Effect:
