@@ -36,8 +36,9 @@ _PAUSE = 0.02
 
 _HOME = Path(__file__).resolve().parents[1]
 # Where compiled code and the tables that it reads are written, below the package's folder.
-_OWN_SOURCES = ("engine/*.py", "filtering/kernels/**/*.py", "models/**/kernels/**/*.py", "models/**/kernels.py",
-                "models/**/table*.py")  # fmt: skip
+_OWN_SOURCES = ("engine/*.py", "filtering/kernels/**/*.py", "filtering/reading_information.py",
+                "models/**/kernels/**/*.py", "models/**/kernels.py", "models/**/table*.py", "models/sensors/discs.py",
+)  # fmt: skip
 # Of each other source that holds kernels: a hash of its content.
 _extra_sources: dict[str, str] = {}
 # The types of tables, or of their extras, that have an implementation in one of those; `object` where one serves all.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -208,6 +209,17 @@ def test_the_file_covers_every_kernel_file_and_registered_implementation(monkeyp
             )
             assert disk_cache._package_hash.__wrapped__() != before, name
     assert str(Path(hidden_markov.__file__)) in disk_cache._extra_sources
+
+
+def test_every_source_of_the_package_that_holds_compiled_code_is_covered():
+    """One that is not would count as a stranger's: imported later than others it would make all be compiled again."""
+    home = Path(disk_cache.__file__).parents[1]
+    holds = re.compile(r"^@(kernel|entry|generic)\b|^@[\w.]+\.register\(\w|^@overload_for_types", re.MULTILINE)
+    found = {path for path in home.rglob("*.py") if holds.search(path.read_text(encoding="utf-8"))}
+    assert len(found) > 50
+    examples = {path for path in found if path.parent.name == "examples"}
+    assert {path.name for path in examples} == {"own_sensor.py"}
+    assert found - examples <= set(disk_cache._own_sources())
 
 
 def _files(*tables):
