@@ -119,6 +119,7 @@ def test_what_gains_less_than_the_alarm_is_worth_is_not_the_end_of_the_search(mo
     assert one.explain(SimpleNamespace(judgement=judgement), current, everywhere) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
 def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does_better(
     monkeypatch, motion, sensor, named
@@ -198,6 +199,7 @@ def test_an_effect_that_held_out_rows_confirm_is_not_hidden_by_an_accident_of_th
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
     fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)

@@ -277,6 +277,7 @@ def test_a_second_process_uses_what_the_first_compiled_until_a_source_changes(tm
     assert run() == ["4", "1", "0"]
 
 
+@pytest.mark.slow
 def test_inner_functions_are_read_from_disk_by_another_process(tmp_path):
     """A second entry that calls the same inner function finds its intermediate code, although it is itself new."""
     source = tmp_path / "small.py"
@@ -288,6 +289,7 @@ def test_inner_functions_are_read_from_disk_by_another_process(tmp_path):
     assert _run(RUN_INNER, tmp_path, cache=tmp_path / "cache", paths=(tmp_path,)) == ["1", "0"]
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_compiled_anew(tmp_path):
     (tmp_path / "small.py").write_text(SMALL.replace("VALUE", "3"))
 

@@ -107,6 +107,7 @@ def test_scans_of_a_right_model_are_seldom_objected_to():
     assert np.nanstd(found[-1].passes[0].scores) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "name"), [("sensor-yaw=0.1", "channel shift"), ("sensor-latency=2.0", "lasting"),
                                               ("range-bias=0.15", "shift")])  # fmt: skip
 def test_what_is_wrong_with_scans_is_named(effect, name):
