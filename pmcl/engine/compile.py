@@ -121,10 +121,10 @@ def generic(prototype: Callable[..., Any]) -> Any:
         table_type: type, *extras_types: type, allocates: bool = False
     ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def decorate(implementation: Callable[..., Any]) -> Callable[..., Any]:
-            remember_source(implementation)
             function = InnerFunction(implementation, _options(allocates=allocates))
             _types_with_implementations.add(table_type)
             for extras_type in extras_types or (None,):
+                remember_source(implementation, extras_type or table_type)
                 implementations[table_type, extras_type] = implementation
                 compiled[table_type, extras_type] = function
             return implementation

@@ -36,16 +36,27 @@ _PAUSE = 0.02
 
 _HOME = Path(__file__).resolve().parents[1]
 # Where compiled code and the tables that it reads are written, below the package's folder.
-_OWN_SOURCES = ("engine/*.py", "filtering/kernels/**/*.py", "models/**/kernels/**/*.py", "models/**/kernels.py",
-                "models/**/table*.py")  # fmt: skip
+_OWN_SOURCES = ("engine/*.py", "filtering/kernels/**/*.py", "filtering/reading_information.py",
+                "models/**/kernels/**/*.py", "models/**/kernels.py", "models/**/table*.py", "models/sensors/discs.py",
+)  # fmt: skip
 # Of each other source that holds kernels: a hash of its content.
 _extra_sources: dict[str, str] = {}
+# The types of tables, or of their extras, that have an implementation in one of those; `object` where one serves all.
+_extra_types: set[str] = set()
 # The modules that hold kernels, pmcl's own and others, in the order in which they were imported.
 _kernel_modules: dict[str, None] = {}
 
 
-def remember_source(function: Callable[..., Any]) -> None:
-    """Let compiled code depend on the file that `function` is written in, as it is now."""
+def remember_source(function: Callable[..., Any], implements_for: type | None = None) -> None:
+    """Let compiled code depend on the file that `function` is written in, as it is now.
+
+    Parameters
+    ----------
+    function : callable
+        A function that is compiled.
+    implements_for : type, optional
+        The type of tables, or of extras where it is for those alone, that it is an implementation for.
+    """
     _kernel_modules[function.__module__] = None
     with contextlib.suppress(TypeError):
         name = inspect.getsourcefile(function)
@@ -54,6 +65,8 @@ def remember_source(function: Callable[..., Any]) -> None:
             with contextlib.suppress(OSError):
                 content = Path(name).read_bytes()
             _extra_sources[name] = hashlib.sha256(content).hexdigest()
+            if implements_for is not None:
+                _extra_types.add(_name_of(implements_for))
 
 
 @functools.cache
@@ -89,13 +102,21 @@ def current_sources() -> str:
     return hashlib.sha256(repr((_package_hash(), extra)).encode()).hexdigest()
 
 
+def _name_of(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
 def _table_types(kind: Any) -> Iterator[str]:
     """Name the table types in a numba type with their modules: its own name says only what they are called."""
     if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
-        yield f"{kind.instance_class.__module__}.{kind.instance_class.__qualname__}"
+        yield _name_of(kind.instance_class)
     if isinstance(kind, types.BaseTuple):
         for part in kind.types:
             yield from _table_types(part)
+
+
+def _is_extra(table_type: str) -> bool:
+    return not table_type.startswith(f"{_HOME.name}.") or table_type in _extra_types
 
 
 class DiskCache(caching._Cache):
@@ -147,17 +168,37 @@ class DiskCache(caching._Cache):
     def file_of(self, signature: Any, codegen: Any) -> Path:
         """Return the file of one signature; its name depends on all that the code depends on."""
         code, cells = self._function.__code__, self._function.__closure__
+        tables = [name for kind in _arguments(signature) for name in _table_types(kind)]
         key = (
             str(signature),
-            [name for kind in _arguments(signature) for name in _table_types(kind)],
+            tables,
             codegen.magic_tuple(),
             self._options,
             hashlib.sha256(code.co_code).hexdigest(),
             hashlib.sha256(dumps(tuple(cell.cell_contents for cell in cells)) if cells else b"").hexdigest(),
-            current_sources(),
+            self._sources(tables),
         )
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:24]
         return Path(self.cache_path) / f"{self._implementation.filename_base}.{digest}.nbc"
+
+    def _sources(self, tables: list[str]) -> str:
+        """Return a hash of the sources that this function may call for such tables.
+
+        Implementations are found by the types of tables: pmcl's own functions reach none of another source as long as
+        all tables are pmcl's own and no other source implements anything for them. So whoever has a sensor or motion of
+        their own does not compile all of pmcl's once more.
+        """
+        if self._is_own and _name_of(object) not in _extra_types and not any(map(_is_extra, tables)):
+            return _package_hash()
+        return current_sources()
+
+    @functools.cached_property
+    def _is_own(self) -> bool:
+        try:
+            name = inspect.getsourcefile(self._function)
+        except TypeError:
+            return False
+        return name is not None and _is_own(name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compilation result of one signature, or None."""

@@ -14,17 +14,20 @@ from pmcl.geometry import wrap
 from pmcl.maps.occupancy_grid import OccupancyGrid
 
 FOLDER = Path(__file__).parents[2] / "analyses" / "lidar_on_real_robots"
+# Imported with all tests: kernels of a source that comes later would make those of other tests be compiled again.
+sys.path.insert(0, str(FOLDER))
+try:
+    import nav2_filter
+finally:
+    sys.path.remove(str(FOLDER))
+
+pytestmark = pytest.mark.slow
 MOUNT = (0.2, -0.05, 0.1)
 MAX_RANGE = 12.0
 
 
 @pytest.fixture(scope="module")
 def nav2():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        import nav2_filter
-    finally:
-        sys.path.remove(str(FOLDER))
     return nav2_filter
 
 

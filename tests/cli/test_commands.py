@@ -143,6 +143,7 @@ def test_the_model_file_and_several_logs_reach_the_sampler(run, log_file, tmp_pa
     assert {"trajectory_0", "trajectory_1"} <= set(data["trajectories"].data_vars)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_is_the_run(run, log_file, tmp_path):
     first, second = tmp_path / "first.nc", tmp_path / "second.nc"
     checkpoint = tmp_path / "run.h5"
@@ -198,6 +199,7 @@ def test_an_interrupted_run_says_how_to_go_on(run, log_file, tmp_path, monkeypat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.nc"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_gone_on_with(run, log_file, tmp_path, monkeypatch):
     """Ctrl-C among the draws; then the same command with --resume, which leaves nothing but the posterior."""
     import pmcl.sampling.particle_gibbs as sampling

@@ -35,7 +35,7 @@ def outputs(tmp_path):
     assert os.listdir(folder) == ["old.nc"]
 
 
-@pytest.mark.parametrize("method", ["mean", "map", "posterior"])
+@pytest.mark.parametrize("method", ["mean", "map", pytest.param("posterior", marks=pytest.mark.slow)])
 def test_a_track_is_written_and_summed_up(run, log, log_file, posterior, method, tmp_path):
     output, tum, reference = tmp_path / "track.nc", tmp_path / "track.tum", tmp_path / "reference.tum"
     output.write_bytes(OLD)

@@ -75,6 +75,7 @@ def test_p_values_of_what_is_unexplained_count_all_families():
     assert judgement.raised_p_values[0] == judgement.p_value
 
 
+@pytest.mark.slow
 def test_a_landmark_that_is_first_seen_late_and_is_wrong_does_not_end_the_run():
     log = simulate_landmark_field(90, 3)
     dataset = log.dataset.copy(deep=True)

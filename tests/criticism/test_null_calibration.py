@@ -29,7 +29,7 @@ def _p_value(log, seed):
     return judge_log(log, fit, directions, int(0.6 * log.n_steps), settings).judgement.p_value
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_small_p_values_are_rare_without_a_hidden_effect():
     """Rooms with sonar, and a camera whose view has gaps, in turn."""
     p = []

@@ -41,7 +41,7 @@ def test_a_posterior_needs_full_chains():
 @pytest.mark.slow
 def test_an_effect_that_begins_late_is_named():
     """The noise grows at 65 % of the log; parameters are fitted to the first 60 % where gaps are shown."""
-    result = small(hidden("range-noise-changes-in-time=0.9,0.65"))
+    result = small(hidden("range-noise-changes-in-time=0.9,0.65"), rounds=1)
     assert result.effects[0].name == "range-noise-changes-in-time"
     assert result.split == 180
     assert result.effects[0].parameters["range_noise_changes_in_time_when"].mean == pytest.approx(0.65, abs=0.03)
@@ -80,7 +80,7 @@ def test_a_filter_that_is_lost_without_an_effect_finds_the_robot_with_it(monkeyp
         return follow(bound, theta, particles, seed, **patience)
 
     monkeypatch.setattr(loop, "particles_that_follow", lost_without)
-    result = small(hidden("turn-noise-grows-with-turn=0.5"))
+    result = small(hidden("turn-noise-grows-with-turn=0.5"), rounds=1)
     assert result.effects[0].name == "turn-noise-grows-with-turn"
     assert "without turn-noise-grows-with-turn the filter loses the robot at t=77 s" in result.notes
     assert result.steps[0].decision == "add turn-noise-grows-with-turn: with it the filter follows"

@@ -72,6 +72,7 @@ def test_a_component_that_the_path_lacks_starts_at_zero():
     assert np.ptp(found.path[:, 3]) > 0.0
 
 
+@pytest.mark.slow
 def test_a_fit_that_goes_on_from_draws_finds_the_same_in_fewer_sweeps(log, monkeypatch):
     swept = []
     step = quick_fit_module.step

@@ -179,6 +179,7 @@ def test_an_effect_of_one_landmark_costs_its_sightings_unless_others_may_be_mean
     assert set(counted) == {everything}
 
 
+@pytest.mark.slow
 def test_small_parameters_of_wide_priors_have_scores():
     """An alpha far below the width of its prior is moved by less than itself, so that every density stays finite."""
     log = simulate_landmark_field(60, 5, bearings=True, reach=12.0)

@@ -175,6 +175,7 @@ def test_a_refit_is_kept_until_another_model_is_judged(monkeypatch):
     assert case.names("glance") == 2 * ["odometry-arc"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("motion", "sensor", "named"), [(90.0, 60.0, False), (40.0, 60.0, True), (0.0, 60.0, True)])
 def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does_better(
     monkeypatch, motion, sensor, named
@@ -214,6 +215,7 @@ def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere(rng):
     assert lost_robot._gains_everywhere(trial_of(None, rows=true), current)
 
 
+@pytest.mark.slow
 def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):
     log = simulate_landmark_field(60, 1, bearings=True)
     fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)

@@ -97,13 +97,14 @@ def test_the_helper_compiles_all_and_a_second_run_says_nothing(tmp_path, two_pro
 @pytest.mark.parametrize(
     ("before", "after", "helpers"),
     [
-        ("import sys; sys.executable = '/nonexistent/python'", "", "0"),
-        ("ahead._BEGIN = 'import os; os._exit(1)'", "ahead._helpers and ahead._helpers[0].wait(60)", None),
+        pytest.param("import sys; sys.executable = '/nonexistent/python'", "", "0", marks=pytest.mark.slow,
+                     id="cannot start"),
+        pytest.param("ahead._BEGIN = 'import os; os._exit(1)'", "ahead._helpers and ahead._helpers[0].wait(60)", None,
+                     marks=pytest.mark.slow, id="dies at once"),
         # It dies while it compiles: its lock is free again.
-        ("", "import time; time.sleep(2.0); ahead._helpers[0].kill()", "1"),
+        pytest.param("", "import time; time.sleep(2.0); ahead._helpers[0].kill()", "1", id="dies later"),
     ],
-    ids=["cannot start", "dies at once", "dies later"],
-)
+)  # fmt: skip
 def test_a_helper_that_fails_does_no_harm(tmp_path, two_processors, before, after, helpers):
     first, second, _, _, count, *_ = _run(tmp_path, before=f"{two_processors}; {before}", after=after)
     assert (first, second) == ("3", "4")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import pytest
 from numba import errors, njit
@@ -15,7 +17,7 @@ from oracles import hidden_markov
 from oracles.random_walk_model import rail_log, rail_model
 
 from pmcl.engine import contract, disk_cache
-from pmcl.engine.compile import entry
+from pmcl.engine.compile import entry, generic
 from pmcl.engine.disk_cache import DiskCache
 from pmcl.engine.file_lock import FileLock
 from pmcl.engine.vector_math import exp_into
@@ -23,6 +25,7 @@ from pmcl.errors import ModelError
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import make_rng, update_path
 from pmcl.models.sensor import sensors
+from pmcl.models.starts.table import GaussianStart
 
 TESTS = Path(__file__).resolve().parents[1]
 PACKAGE = Path(disk_cache.__file__).resolve().parents[2]
@@ -30,7 +33,7 @@ PACKAGE = Path(disk_cache.__file__).resolve().parents[2]
 # A kernel of one's own, in a file of its own: its answer is VALUE, so a stale one would be seen.
 SMALL = """
 from typing import NamedTuple
-from pmcl.engine.compile import entry
+from pmcl.engine.compile import entry, generic
 from pmcl.engine.contract import scratch_rows
 
 class Marked(NamedTuple):
@@ -116,8 +119,6 @@ def test_two_models_run_twice_are_compiled_once_each():
 
 def test_tables_of_one_model_have_one_type():
     """A table that were read-only, or not contiguous, at another theta would compile everything again."""
-    import numba
-
     bound = rail_model().bind(rail_log(6, seed=1))
     kinds = {numba.typeof(bound.tables(np.array(theta))[0]) for theta in ([0.5, 0.4], [1.0, 2.0])}
     assert len(kinds) == 1
@@ -157,6 +158,14 @@ def test_an_implementation_that_makes_arrays_without_saying_so_is_named_in_one_l
     assert rows_of(Honest(1.0)) == 3
 
 
+def rail_tables():
+    return rail_model().bind(rail_log(6, seed=1)).tables(np.array([0.5, 0.4]))[0]
+
+
+def _types(*tables):
+    return tuple(numba.typeof(table) for table in tables)
+
+
 def _file_of(signature=(1,), function=smc.redraw_path):
     return function._cache.file_of(signature, function.targetctx.codegen())
 
@@ -179,8 +188,6 @@ def test_the_file_changes_with_the_function_its_signature_and_how_it_is_compiled
 
 def test_table_types_of_one_name_in_two_modules_have_two_files():
     """What numba calls a type says only how a table is called, not where it comes from."""
-    import numba
-
     files = set()
     for module in ("one", "other"):
 
@@ -204,6 +211,56 @@ def test_the_file_covers_every_kernel_file_and_registered_implementation(monkeyp
     assert str(Path(hidden_markov.__file__)) in disk_cache._extra_sources
 
 
+def test_every_source_of_the_package_that_holds_compiled_code_is_covered():
+    """One that is not would count as a stranger's: imported later than others it would make all be compiled again."""
+    home = Path(disk_cache.__file__).parents[1]
+    holds = re.compile(r"^@(kernel|entry|generic)\b|^@[\w.]+\.register\(\w|^@overload_for_types", re.MULTILINE)
+    found = {path for path in home.rglob("*.py") if holds.search(path.read_text(encoding="utf-8"))}
+    assert len(found) > 50
+    examples = {path for path in found if path.parent.name == "examples"}
+    assert {path.name for path in examples} == {"own_sensor.py"}
+    assert found - examples <= set(disk_cache._own_sources())
+
+
+def _files(*tables):
+    """The file of one of pmcl's functions of these tables, and of a tuple of them."""
+    return [_file_of(_types(*tables)), _file_of(_types(tables))]
+
+
+def test_only_tables_that_another_source_implements_something_for_depend_on_it(monkeypatch, tmp_path):
+    own, foreign = rail_tables().start, rail_tables().motion
+    sources, kinds = dict(disk_cache._extra_sources), set(disk_cache._extra_types)
+    monkeypatch.setattr(disk_cache, "_extra_sources", sources)
+    monkeypatch.setattr(disk_cache, "_extra_types", kinds)
+    of_own, of_foreign, of_both = _files(own), _files(foreign), _files(own, foreign)
+    in_tests = [_file_of(_types(own), rows_of)]
+    sources[str(tmp_path / "another.py")] = "a hash"
+    assert _files(own) == of_own
+    changed = [_files(foreign), _files(own, foreign), [_file_of(_types(own), rows_of)]]
+    for before, after in zip([of_foreign, of_both, in_tests], changed, strict=True):
+        assert not set(before) & set(after)
+    # From now on another source may be reached from pmcl's own functions.
+    for kind in (type(own), object):
+        with monkeypatch.context() as patch:
+            patch.setattr(disk_cache, "_extra_types", kinds | {disk_cache._name_of(kind)})
+            assert not set(_files(own)) & set(of_own), kind
+
+
+def test_which_types_another_source_implements_something_for(monkeypatch):
+    sources, kinds = dict(disk_cache._extra_sources), set()
+    monkeypatch.setattr(disk_cache, "_extra_sources", sources)
+    monkeypatch.setattr(disk_cache, "_extra_types", kinds)
+    one = generic(lambda table: None)
+    one.register(GaussianStart)(lambda table: 1)
+    assert kinds == {disk_cache._name_of(GaussianStart)}
+    kinds.clear()
+    # Extras of one's own leave tables with other extras, and without any, as they are.
+    one.register(GaussianStart, Growing)(lambda table: 2)
+    assert kinds == {disk_cache._name_of(Growing)}
+    one.register(object)(lambda table: 3)
+    assert "builtins.object" in kinds
+
+
 def test_a_second_process_uses_what_the_first_compiled_until_a_source_changes(tmp_path):
     source = tmp_path / "small.py"
     source.write_text(SMALL.replace("VALUE", "3"))
@@ -220,6 +277,7 @@ def test_a_second_process_uses_what_the_first_compiled_until_a_source_changes(tm
     assert run() == ["4", "1", "0"]
 
 
+@pytest.mark.slow
 def test_inner_functions_are_read_from_disk_by_another_process(tmp_path):
     """A second entry that calls the same inner function finds its intermediate code, although it is itself new."""
     source = tmp_path / "small.py"
@@ -231,6 +289,7 @@ def test_inner_functions_are_read_from_disk_by_another_process(tmp_path):
     assert _run(RUN_INNER, tmp_path, cache=tmp_path / "cache", paths=(tmp_path,)) == ["1", "0"]
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_compiled_anew(tmp_path):
     (tmp_path / "small.py").write_text(SMALL.replace("VALUE", "3"))
 

@@ -35,6 +35,7 @@ def test_a_log_stays_as_it_is_where_no_formula_needs_a_path(log):
     assert with_estimated_path(log, replace(plain, effects=(formula_effect("turn", ["speed"]),))) is log
 
 
+@pytest.mark.slow
 def test_the_estimate_is_near_the_truth(log, model):
     known = with_estimated_path(log, model)
     error = known.estimated("path") - log.true_poses
@@ -49,6 +50,7 @@ def test_the_estimate_is_near_the_truth(log, model):
     np.testing.assert_array_equal(again.estimated("path"), known.estimated("path"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", [True, False])
 def test_later_readings_count_unless_every_pose_is_to_be_foreseen(log, model, ahead):
     dataset = log.dataset.copy(deep=True)

@@ -107,6 +107,7 @@ def test_drives_stay_where_the_log_has_been():
                 assert np.hypot(*(path[:, :2] - pose[:2]).T).min() < 0.7, drive.name
 
 
+@pytest.mark.slow
 def test_more_rows_tell_more_and_the_truth_is_not_read():
     theta = {**THETA, "sigma_range": 0.05}
     log = pmcl.simulate_amigobot(160.0, 3, theta)
@@ -119,6 +120,7 @@ def test_more_rows_tell_more_and_the_truth_is_not_read():
     assert unaware == long
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_result(straight):
     again = identify(straight_log(), GROWING)
     assert again == straight

@@ -26,8 +26,6 @@ LEVELS = {
     "usual noise": {"sigma_forward": 0.05, "sigma_left": 0.03, "sigma_turn": 0.05, "sigma_range": 0.1},
     "sharp readings": {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.03, "sigma_range": 0.02},
 }
-# The harder of the two is always tested.
-EACH_LEVEL = [pytest.param("usual noise", marks=pytest.mark.slow), "sharp readings"]
 
 
 def converged_at(track, log):
@@ -176,7 +174,8 @@ def carried_away(theta, seed, rows=40):
     )
 
 
-@pytest.mark.parametrize("level", EACH_LEVEL)
+@pytest.mark.slow
+@pytest.mark.parametrize("level", LEVELS)
 def test_a_robot_that_was_carried_away_is_found_again(level):
     theta, late, lost = LEVELS[level], [], 0
     for seed in range(20):

@@ -188,7 +188,14 @@ def _read_position(tables, t, state):
     return -0.5 * ((z - state[0]) / std) ** 2 - np.log(std * np.sqrt(2.0 * np.pi))
 
 
-@pytest.mark.parametrize("free", [("process_std", "reading_std"), ("process_std",), ("reading_std",)])
+@pytest.mark.parametrize(
+    "free",
+    [
+        ("process_std", "reading_std"),
+        pytest.param(("process_std",), marks=pytest.mark.slow),
+        pytest.param(("reading_std",), marks=pytest.mark.slow),
+    ],
+)
 def test_a_users_own_model_is_its_twin(free, rng):
     """Types that pmcl does not know go the general way, and parts that all draws share are not treated as draws."""
     log = rail_log(ROWS, seed=2)

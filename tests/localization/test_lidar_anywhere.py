@@ -71,6 +71,7 @@ def test_a_robot_with_a_lidar_that_was_carried_away_is_found_again(room):
     assert (found, lost) == (8, 8)
 
 
+@pytest.mark.slow
 def test_recovery_is_quiet_while_the_robot_drives_on(room):
     for seed in range(5):
         tracks = [
@@ -80,6 +81,7 @@ def test_recovery_is_quiet_while_the_robot_drives_on(room):
         np.testing.assert_array_equal(tracks[0].pose_mean, tracks[1].pose_mean)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_where_a_log_began_is_found_from_its_end(room, seed):
     log = room.select(20, 80)
@@ -102,6 +104,7 @@ def test_a_track_that_never_knows_the_place_tells_no_start(room):
         with_found_start(log, track, method="prior")
 
 
+@pytest.mark.slow
 def test_the_robot_of_wean_hall_is_found(shared_data, capsys):
     """A corridor of 50 m with doors and alcoves that look alike every 6 m: few readings tell where the robot is."""
     source = shared_data / "wean"

@@ -61,6 +61,7 @@ def test_online_is_offline_with_states_and_readings_that_look_back(rich, method)
     assert track.pose_mean.shape == (30, 3)
 
 
+@pytest.mark.slow
 def test_online_is_offline_with_landmarks_whose_errors_last():
     log = simulate_landmark_field(30, 2, bearings=True, reach=9.0, effects=["landmark-noise-correlated=0.8,0.6"])
     model = RobotModel(sensors=(LandmarkNoise(bearing=True),), effects=(effect_named("landmark-noise-correlated"),))

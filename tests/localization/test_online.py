@@ -37,7 +37,7 @@ def assert_same(estimates, track):
     np.testing.assert_array_equal([each.effective_size for each in estimates], track.ess)
 
 
-@pytest.mark.parametrize("method", ["mean", "posterior"])
+@pytest.mark.parametrize("method", ["mean", pytest.param("posterior", marks=pytest.mark.slow)])
 def test_a_robot_among_walls(room_log, theta, method):
     data = around(theta, 0.1)
     settings = {"particles": 60, "seed": 8}
@@ -60,6 +60,7 @@ def test_a_robot_that_may_be_anywhere_and_is_carried_away(room_log, theta):
     assert len({each.particles for each in estimates}) > 3
 
 
+@pytest.mark.slow
 def test_landmarks_some_of_them_out_of_sight():
     log = simulate_landmark_field(40, 2, bearings=True, reach=8.0)
     data = around(log.true_theta, 0.05)

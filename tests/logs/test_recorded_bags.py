@@ -81,6 +81,7 @@ def test_jarvis_without_a_choice_of_laser(shared_data):
         read_bag(shared_data / "jarvis" / "jarvis_complex_path_fast.bag")
 
 
+@pytest.mark.slow
 def test_guardian(shared_data):
     bag = shared_data / "guardian" / "guardian_3.bag"
     log = read_bag(bag, scans=["/scan", "/hokuyo_back_scan"])

@@ -103,7 +103,7 @@ BUGS = [
     Bug("the code of effects is not part of a run", "sampling/checkpoint.py",
         "_digest_table(digest, table)\n    digest", "pass\n    digest",
         "sampling/test_resume.py", "test_another_version_of_pmcl"),
-    Bug("a new name is not written to disk", _WHOLE, "        _keep_name(target.parent)\n", "",
+    Bug("a new name is not written to disk", _WHOLE, "            _keep_name(target.parent)\n", "",
         _KILLED, "test_a_new_name_is_written"),
     Bug("a file takes its place before it is written to disk", _WHOLE, "            os.fsync(stream.fileno())\n",
         "            pass\n", _KILLED, "test_a_new_name_is_written"),

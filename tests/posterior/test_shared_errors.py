@@ -69,6 +69,7 @@ def test_simulated_sectors_share_one_error_in_each_group(rng):
     assert len(np.unique(drawn[:, :, 0])) == 2 * rows
 
 
+@pytest.mark.slow
 def test_scans_that_share_as_much_as_the_exponent_says_are_seldom_objected_to():
     """At a rate of 1 %, more than four of 60 happen once in a thousand times; beams taken as independent always do."""
     alarms, independent = 0, 0

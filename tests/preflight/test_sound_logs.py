@@ -48,8 +48,10 @@ ROBOTS = {
 TRULY_BAD = {("turn-noise-grows-with-distance", "large", "field"): {"odometry-disagrees"}}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", ["clear", "large"])
+@pytest.mark.parametrize(
+    # What is large looks more like a mistake.
+    "size", [pytest.param("clear", marks=pytest.mark.long), pytest.param("large", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("effect", [effect.name for effect in CATALOGUE])
 def test_missing_effects_are_no_mistakes(effect, size):
     """What a model lacks is for the critic; a log with it is sound."""

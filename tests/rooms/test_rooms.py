@@ -366,11 +366,15 @@ def test_localization_off_and_on_line_are_the_same(calibrated):
 
 
 @pytest.mark.slow
-def test_the_critic_finds_the_offset_and_nothing_where_there_is_none():
+def test_the_critic_finds_the_offset():
     found = pmcl.criticize(field_log(OFFSET), joint=False, workers=1)
     assert [effect.name for effect in found.effects] == ["compass-offset"]
     offset = found.effects[0].parameters["compass_offset"]
     assert abs(offset.mean - OFFSET) < 4.0 * offset.sd < OFFSET
+
+
+@pytest.mark.long
+def test_the_critic_finds_nothing_where_there_is_no_offset():
     assert pmcl.criticize(field_log(), joint=False, workers=1).effects == ()
 
 

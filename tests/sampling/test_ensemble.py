@@ -62,6 +62,7 @@ def test_ensemble_and_particle_gibbs_have_the_exact_posterior(bound, exact, move
     assert np.abs(between).max() <= TOLERANCE, between.round(1)
 
 
+@pytest.mark.slow
 def test_a_target_that_mistakes_theta_is_noticed(bound, exact, monkeypatch):
     real = PseudoMarginalTarget.__call__
 

@@ -51,6 +51,7 @@ def test_storvik_has_the_exact_posterior(bound, exact):
     assert np.abs(found.mean(axis=0)[:2]).max() < 0.25
 
 
+@pytest.mark.slow
 def test_statistics_that_forget_their_parents_are_noticed(bound, exact, monkeypatch):
     """Each particle's statistics must be those of its own path."""
     real = parameter_filters._row_statistics

@@ -94,6 +94,7 @@ def _features(theta, exact):
     return np.concatenate([z, z**2 - 1.0, z[..., :1] * z[..., 1:] - exact.correlation], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [False, True])
 def test_one_sweep_leaves_exact_draws_as_they_are(longer, exact, wrong, monkeypatch):
     """The negative control draws sets at a theta that is not the one between."""

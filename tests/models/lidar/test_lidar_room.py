@@ -91,6 +91,7 @@ def predicted_from(table, path):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_single_readings_are_foreseen_untempered(log):
     """The score of a reading is that of its own density, whatever exponent the scan is weighed with."""
     scores = {}
@@ -104,6 +105,7 @@ def test_single_readings_are_foreseen_untempered(log):
     assert scores[1.0].mean() > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [FIELD, BEAM])
 def test_online_is_offline(log, sensor):
     model = RobotModel(sensors=(sensor,))
