@@ -2,11 +2,11 @@
 
     python run.py make FOLDER --block 1      # the logs of a whole block, some 350
     python run.py run FOLDER                 # half a minute on one core for each; several may run at once
-    python run.py score FOLDER               # adds to results.csv, and sums up
+    python run.py score FOLDER               # adds to by_probability.csv, and sums up
 
 `make` writes logs that tell nothing about what they hide, and one file, sealed.json, that does; only `score` opens it.
 `run` criticises the logs that have no result yet, so it can be stopped and continued. A log whose block, effects and
-seed are in results.csv already is not made again: to enlarge a block, ask for more --seeds.
+seed are in by_probability.csv already is not made again: to enlarge a block, ask for more --seeds.
 Thresholds were chosen on block 0; other blocks have other seeds.
 """
 
@@ -30,7 +30,7 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.catalogue import CATALOGUE
 
 LOGGER = logging.getLogger("pmcl.criticism")
-RESULTS = Path(__file__).parent / "results.csv"
+RESULTS = Path(__file__).parent / "by_probability.csv"  # results.csv is that of earlier versions
 # For the detection curve: effects of every carrier, small.
 FAINT = (
     "odometry-turn-scale", "odometry-turn-bias", "turn-noise-grows-with-turn", "range-bias", "beam-bias", "sensor-yaw",

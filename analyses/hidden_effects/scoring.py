@@ -77,7 +77,18 @@ def scored(hidden: Hidden, result: dict) -> dict[str, object]:
         "coverage_before": gaps[0].get("coverage_90", ""),
         "coverage_after": gaps[1].get("coverage_90", ""),
         **_sizes(hidden, names, result["effects"]),
+        "probabilities": _probabilities(result["effects"]),
+        "nothing_probability": result.get("nothing_probability", ""),
     }
+
+
+def _probabilities(effects: list[dict]) -> str:
+    """Return how probable each name of the first effect is said to be, as ``name=0.93 / name=0.05``."""
+    if not effects or effects[0]["probability"] is None:
+        return ""
+    told = [(effects[0]["name"], effects[0]["probability"])]
+    told += [(other["name"], other["probability"]) for other in effects[0]["alternatives"]]
+    return " / ".join(f"{name.replace('=', '')}={probability:.4f}" for name, probability in told)
 
 
 def _kind(hidden: Hidden, names: list[str]) -> str:

@@ -4,7 +4,7 @@
 
 1. :mod:`~pmcl.criticism.scoring`: one filter pass over a log gives residuals and scores; the same from logs that the
    fitted model simulates.
-2. :mod:`~pmcl.criticism.fitting`: quick calibrations of many models, and comparisons on rows that a fit did not see.
+2. :mod:`~pmcl.criticism.fitting`: quick calibrations of many models, their evidence, and their predictions.
 3. :mod:`~pmcl.criticism.judging`: which numbers of the log are unusual among those of the simulated logs, at a known
    rate of false alarms, and where in the log they come from.
 4. :mod:`~pmcl.criticism.findings`: the result as plain data, its verdict and its sentences.

@@ -1,6 +1,9 @@
-"""Quick calibrations of candidate models, and comparisons of their predictions.
+"""Quick calibrations of candidate models, their evidence, and comparisons of their predictions.
 
 Reading order: :mod:`~pmcl.criticism.fitting.quick_fit` (one short chain), :mod:`~pmcl.criticism.fitting.following`
-(whether the filter follows the robot), :mod:`~pmcl.criticism.fitting.held_out` (log scores and gains),
-:mod:`~pmcl.criticism.fitting.trials` (one candidate effect refitted). The trials go to :mod:`pmcl.criticism.naming`.
+(whether the filter follows the robot), :mod:`~pmcl.criticism.fitting.held_out` (log scores, and gaps on rows that a fit
+did not see), :mod:`~pmcl.criticism.fitting.evidence` (evidence from the draws of a fit),
+:mod:`~pmcl.criticism.fitting.trials` (one candidate effect refitted),
+:mod:`~pmcl.criticism.fitting.spare_effects` (effects that a later one makes unnecessary). The trials go to
+:mod:`pmcl.criticism.naming`.
 """
