@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,13 @@ from pmcl.criticism.findings.assemble import (
     unexplained_of,
     with_estimates_of,
 )
-from pmcl.criticism.findings.parts import FoundEffect, Step
+from pmcl.criticism.findings.parts import FoundEffect, Step, Unexplained
 from pmcl.criticism.findings.result import Criticism, JudgedFit
-from pmcl.criticism.findings.verdict import sentence_of, verdict_of, with_place
+from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import gap_of
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
-from pmcl.criticism.fitting.trials import Trial, spare_effects
+from pmcl.criticism.fitting.trials import PRACTICAL, Trial, spare_effects, trial_of_base
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.choice import twins_of
 from pmcl.criticism.naming.lost_robot import Recovery
@@ -38,17 +38,18 @@ from pmcl.criticism.naming.probability import (
 )
 from pmcl.criticism.naming.search import FIT_SHARE, LATE_FIT_SHARE, Outcome, Search
 from pmcl.criticism.settings import FINER, Settings
-from pmcl.errors import FilterError
+from pmcl.errors import FilterError, SamplingError
 from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimates
 from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
+from pmcl.filtering.paired_scores import paired_gain
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
 from pmcl.streams import stream, stream_seed
 
-__all__ = ["Loop"]
+__all__ = ["Loop", "Loss"]
 
 Float = NDArray[np.float64]
 
@@ -63,6 +64,27 @@ class _Searched(NamedTuple):
     current: Trial
 
 
+class Loss(NamedTuple):
+    """Why not the log as it is and the model that was asked for are criticised: the filter loses the robot.
+
+    Attributes
+    ----------
+    model : RobotModel
+        The model that was asked for.
+    what : str
+        What is missing by that, for the sentence, e.g. "from t=330.5 s on the filter loses the robot".
+    place : Unexplained
+        The rows.
+    partial : bool
+        Whether the log is only a part of the one that was asked for. Otherwise the model has gross errors in addition.
+    """
+
+    model: RobotModel
+    what: str
+    place: Unexplained
+    partial: bool = False
+
+
 class Loop:
     """The state of one run.
 
@@ -72,6 +94,10 @@ class Loop:
         The base model.
     search : Search
         Searches through the candidates for the log.
+    loss : Loss, optional
+        Why these are not the model and the log that were asked for.
+    notes : sequence of str
+        Notes with which the result begins.
 
     Attributes
     ----------
@@ -87,9 +113,11 @@ class Loop:
         Posterior probability that the base model lacks nothing; NaN where its filter loses the robot.
     """
 
-    def __init__(self, model: RobotModel, search: Search) -> None:
-        self.base, self.search, self.log = model, search, search.log
-        self.notes: list[str] = []
+    def __init__(
+        self, model: RobotModel, search: Search, loss: Loss | None = None, notes: Sequence[str] = ()
+    ) -> None:
+        self.base, self.search, self.log, self.loss = model, search, search.log, loss
+        self.notes = list(notes)
         self.steps: list[Step] = []
         self.found: list[FoundEffect] = []
         self.predictions: list[tuple[Predictions, Float]] = []
@@ -113,6 +141,11 @@ class Loop:
             Draws of each full chain.
         always : bool
             Whether full chains are run even if no effect was added.
+
+        Raises
+        ------
+        FilterError
+            When the filter loses the robot and no single effect lets it follow; it tells the row where that is known.
         """
         self.settings.tell("fitting the base model")
         bound = self.base.bind(self.log)
@@ -126,7 +159,7 @@ class Loop:
             current = self._add_recovery(last, recovery)
             last = self._refit(last, current, rounds)
         else:
-            self.nothing_probability = nothing_without_refits(first.judgement, self.search.directions)
+            self._nothing_is(nothing_without_refits(first.judgement, self.search.directions))
         for number in range(int(recovery is not None), rounds + 1):
             if in_doubt(last.judgement) and (self.found or number == rounds):
                 last = self.search.judge_again(last)
@@ -134,7 +167,7 @@ class Loop:
             alarms = last.judgement.raised
             shown = self.search.effect_shown_by_data(last) if number < rounds else None
             if shown is not None:
-                self.nothing_probability = self.nothing_probability if self.found else 0.0
+                self._nothing_is(0.0)
                 current = self._accept(last, shown, "add {}: the data show it")
                 last = self._refit(last, current, number)
                 continue
@@ -163,6 +196,8 @@ class Loop:
             outcome = outcome._replace(found=with_probabilities(outcome.found, outcome.accepted, probable))
             current = self._accept(last, outcome, "add {}", before=current)
             last = self._refit(last, current, number)
+        if self.loss is not None and self.loss.model.sensors != self.base.sensors:
+            last = self._without_gross_errors(self.loss, last, current)
         return self._result(first, last, draws, chains=joint and (bool(self.found) or always))
 
     def _recovery(self, fit: Fit) -> Recovery | None:
@@ -173,10 +208,12 @@ class Loop:
         try:
             self._follow(fit)
         except FilterError as lost:
+            if self.loss is not None:
+                raise
             recovery = self.search.recover(fit, partial(self._follow, patient=True))
             if recovery is None:
                 raise
-            when = str(lost).partition(" at ")[2].partition(";")[0]
+            when = f"t={self.log.times[lost.row or 0]:g} s"
             name = recovery.accepted.model.effects[-1].name
             self.notes.append(f"without {name} the filter loses the robot at {when}")
             self.settings.tell(f"named {name}: with it the filter follows", "fitting the model with it")
@@ -225,9 +262,13 @@ class Loop:
             current, outcome.trials, search.directions, search.n_formulas, last.judgement.p_value,
             stream_seed(self.settings.seed, "noise of evidences"),
         )  # fmt: skip
-        if not self.found:
-            self.nothing_probability = probable.nothing
+        self._nothing_is(probable.nothing)
         return probable
+
+    def _nothing_is(self, probability: float) -> None:
+        """Set the probability that the base model lacks nothing, as long as it is the base model that is judged."""
+        if not self.found and self.loss is None:
+            self.nothing_probability = probability
 
     def _follow(self, fit: Fit, patient: bool = False) -> None:
         """Use as many particles as follow the robot from now on; raise FilterError if none do."""
@@ -281,6 +322,45 @@ class Loop:
             self.notes.append(f"{removed.name} was added first and dropped when a later effect explained it")
         return trial
 
+    def _without_gross_errors(self, loss: Loss, last: JudgedFit, current: Trial | None) -> JudgedFit:
+        """Return the final model without gross errors, fitted and judged, if it needs none; else the model as it is.
+
+        With what was found in it, the filter of the model that was asked for may follow the robot. It then stays if
+        held-out rows lose as little without gross errors as without an effect that is dropped.
+        """
+        if current is None or not self.found:
+            return last
+        self.settings.tell("is the filter still lost without gross errors?")
+        judged = last.fit
+        model = replace(judged.bound.model, sensors=loss.model.sensors)
+        bound, known = model.bind(self.log), judged.values()
+        theta = np.array([known[name] for name in bound.names])
+        refits = self.search.refits
+        try:
+            compile_for_criticism(bound.tables(theta)[0])
+            fit = quick_fit(
+                bound, stream_seed(self.settings.seed, "fit without gross errors"), theta=theta, path=judged.path
+            )
+            self._follow(fit)
+            current = refits.comparable(current)
+            without = trial_of_base(
+                model, self.log, self.search.split, seed=refits.seed, particles=self.settings.comparing,
+                theta=fit.theta, path=fit.path,
+            )  # fmt: skip
+        except FilterError:
+            self.notes.append("gross errors are still needed: without them the filter loses the robot")
+            return last
+        lost = paired_gain(current.row_scores, without.row_scores, slice(self.search.split, None))
+        if lost.total >= max(PRACTICAL, lost.se):
+            self.notes.append(
+                f"gross errors are still needed: without them held-out rows lose {lost.total:.1f} ± {lost.se:.1f} nats"
+            )
+            return last
+        self.notes.append("gross errors were allowed for at first, and dropped when what was found explained them")
+        again = self.search.judge(fit)
+        self._record(again, without, [], "allow for no gross errors: with what was found the filter follows")
+        return again
+
     def _record(
         self,
         last: JudgedFit,
@@ -316,15 +396,19 @@ class Loop:
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
-    def _calibrated(self, model: RobotModel, draws: int) -> Posterior:
-        """Run full chains of the final model."""
+    def _calibrated(self, model: RobotModel, draws: int) -> Posterior | None:
+        """Run full chains of the final model; return None, and note why, if they lose the robot."""
         self.settings.tell("calibrating the final model by full chains")
         reporter = self.settings.reporter
-        with reporter.paused():
-            return calibrate(
-                self.log, model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
-                seed=self.settings.seed, progress=reporter.live,
-            )  # fmt: skip
+        try:
+            with reporter.paused():
+                return calibrate(
+                    self.log, model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
+                    seed=self.settings.seed, progress=reporter.live,
+                )  # fmt: skip
+        except (FilterError, SamplingError) as error:
+            self.notes.append(f"there is no posterior by full chains: {error}")
+            return None
 
     def _result(self, first: JudgedFit, last: JudgedFit, draws: int, chains: bool) -> Criticism:
         """Return the result; `chains` tells whether full chains of the final model are run."""
@@ -338,6 +422,7 @@ class Loop:
         model = last.fit.bound.model
         if chains:
             posterior = self._calibrated(model, draws)
+        if posterior is not None:
             after = drawn_estimates(last.fit, posterior)
         elif self.found:
             after = estimates(
@@ -353,14 +438,16 @@ class Loop:
         )
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)
-        settings: dict[str, Any] = vars(self.settings) | {"split": self.search.split, "log": self.log.fingerprint()}
-        del settings["workers"], settings["reporter"]  # the result does not depend on them
+        lost = ""
+        if self.loss is not None and (self.loss.partial or not found):
+            lost = self.loss.what
+            verdict, unexplained = UNKNOWN, (self.loss.place, *unexplained)
         # The model that is handed over applies to other logs as well: its formulas are evaluated anew on each.
         model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
         log = with_estimates(self.log, last.fit.tables, last.fit.path) if path_formulas(model.effects) else self.log
         return Criticism(
             verdict=verdict,
-            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log),
+            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log, lost),
             effects=found,
             unexplained=unexplained,
             steps=tuple(self.steps),
@@ -374,6 +461,6 @@ class Loop:
             last=last,
             posterior=posterior,
             notes=tuple(self.notes),
-            settings=settings,
+            settings=self.settings.recorded(self.search.split, self.log.fingerprint()),
             nothing_probability=self.nothing_probability,
         )

@@ -10,12 +10,10 @@ import numpy as np
 from pmcl import defaults
 from pmcl.criticism.arguments import check_arguments
 from pmcl.criticism.findings.result import Criticism
-from pmcl.criticism.loop import Loop
-from pmcl.criticism.naming.search import Search
+from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.progress import Progress
 from pmcl.criticism.settings import Settings
 from pmcl.errors import CriticismError
-from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -24,9 +22,6 @@ from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.preflight.check import checked_logs
 
 __all__ = ["criticize"]
-
-# A log must have so many rows, for a fit on one part and a comparison on the other (chosen by hand).
-_LEAST_ROWS = 60
 
 
 @stopping_on_interrupt()
@@ -90,8 +85,6 @@ def criticize(
     CriticismError
         When the log is too short to split, when nothing in it moves, or when a posterior is asked for without full
         chains.
-    FilterError
-        When the filter loses the robot and no single effect lets it follow; scores mean nothing then.
     PmclError
         When model and log do not fit each other.
 
@@ -102,9 +95,15 @@ def criticize(
     with three times as many simulated logs. This is not necessary when an effect gains more than two standard errors on
     the held-out part, or when it gains one standard error there and, on the whole log, two and more than chance can. A
     number that deviates by z standard errors costs a model at least z^2 / 2 nats. An effect that gains less must
-    therefore also be the best one among all effects of the whole robot and formulas. If the filter of the base model
-    loses the robot, effects of the motion are refitted first, then effects of the sensors; the first one that lets the
-    filter follow is added.
+    therefore also be the best one among all effects of the whole robot and formulas.
+
+    If the filter of the base model loses the robot, scores mean nothing. Effects of the motion are refitted then, and
+    after them effects of the sensors; the first one that lets the filter follow is added. If there is none, gross
+    errors are allowed for among the readings, and effects are sought beside them. In the end gross errors are left out
+    again, if the filter follows without them and held-out rows lose nothing. If the filter is lost with gross errors,
+    too, only the rows before the loss are judged. If these are too few, the result says where the robot is lost. Notes
+    tell what of this was done. The verdict is "unknown effect" then, unless effects were found on the whole log and no
+    alarm is left.
     """
     check_arguments(
         log, model, effects, {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds,
@@ -123,19 +122,22 @@ def criticize(
     with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
         settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
-        log = with_estimated_path(log, base, seed=seed)
-        offered = candidates(log) if effects is None else effects
-        return Loop(base, Search(log, offered, settings)).run(rounds, joint, draws, always=posterior)
+        runs = Runs(
+            settings,
+            offered=candidates if effects is None else lambda log: effects,
+            run=lambda loop: loop.run(rounds, joint, draws, always=posterior),
+        )
+        return runs.criticism_of(log, base)
 
 
 def _check(log: RobotLog) -> None:
-    if log.n_steps < _LEAST_ROWS:
+    if log.n_steps < LEAST_ROWS:
         # The rows of a lidar's log are those scans that a filter uses; recordings hold more.
         more = "; record longer"
         if log.lidars:
             more += ", or convert with more scans (--update-min-d 0.1 --update-min-a 0.1; 0 takes every scan)"
         raise CriticismError(
-            f"{log.where}: expected at least {_LEAST_ROWS} rows, to fit on one part and judge on another, but got "
+            f"{log.where}: expected at least {LEAST_ROWS} rows, to fit on one part and judge on another, but got "
             f"{log.n_steps}{more}"
         )
     if not np.any(log.odometry[1:] != 0.0):
