@@ -356,8 +356,12 @@ class Loop:
                 f"gross errors are still needed: without them held-out rows lose {lost.total:.1f} ± {lost.se:.1f} nats"
             )
             return last
+        try:
+            again = self.search.judge(fit)
+        except FilterError as error:
+            self.notes.append(f"gross errors are kept: {error}")
+            return last
         self.notes.append("gross errors were allowed for at first, and dropped when what was found explained them")
-        again = self.search.judge(fit)
         self._record(again, without, [], "allow for no gross errors: with what was found the filter follows")
         return again
 
