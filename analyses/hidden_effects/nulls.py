@@ -70,8 +70,8 @@ def judged(kind: str, seed: int, rows: int, code: str) -> dict[str, object]:
     return row | {
         "verdict": found.verdict,
         "found": " + ".join(one.name for one in found.effects),
-        "p_value": found.first.judgement.p_value,
-        "p_value_last": found.last.judgement.p_value,
+        "p_value": found.first.judgement.p_value if found.first else "",
+        "p_value_last": found.last.judgement.p_value if found.last else "",
         "seconds": f"{time.process_time() - begin:.1f}",
     }
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from pmcl import defaults
+from pmcl.cli.application import NOT_CONVERGED
 from pmcl.cli.options import (
     effects_option,
     map_option,
@@ -113,12 +114,16 @@ def criticize(
     write_criticism_report(found, output, commands)
     if json_file is not None:
         found.write(json_file)
-    if better_posterior is not None:
-        found.write_posterior(better_posterior)
     if better_model is not None:
         found.write_model(better_model)
     click.echo(f"{found.verdict}: {found.sentence}.")
-    status = print_verdict(found.posterior) if better_posterior is not None else 0
+    status = 0
+    if better_posterior is not None and found.posterior is None:
+        click.echo(f"no posterior: chains lose the robot, too; the notes of {output} say more", err=True)
+        better_posterior, status = None, NOT_CONVERGED
+    elif better_posterior is not None:
+        found.write_posterior(better_posterior)
+        status = print_verdict(found.posterior)
     for name, written in (("report", output), ("model", better_model), ("posterior", better_posterior)):
         if written is not None:
             click.echo(f"{name}: {written}")

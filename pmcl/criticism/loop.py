@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,20 +19,20 @@ from pmcl.criticism.findings.assemble import (
     unexplained_of,
     with_estimates_of,
 )
-from pmcl.criticism.findings.parts import FoundEffect, Step
+from pmcl.criticism.findings.parts import FoundEffect, Step, Unexplained
 from pmcl.criticism.findings.result import Criticism, JudgedFit
-from pmcl.criticism.findings.verdict import sentence_of, verdict_of, with_place
+from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
-from pmcl.criticism.fitting.spare_effects import without_spare_effects
-from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.spare_effects import evidence_between, without_spare_effects
+from pmcl.criticism.fitting.trials import Trial, trial_of_base
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.lost_robot import Recovery
 from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
 from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.settings import FINER, Settings
-from pmcl.errors import FilterError
+from pmcl.errors import FilterError, SamplingError
 from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimates
 from pmcl.filtering.paired_scores import Gain, paired_gain
@@ -41,10 +41,31 @@ from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
 from pmcl.streams import stream_seed
 
-__all__ = ["Loop"]
+__all__ = ["Loop", "Loss"]
 
 # Parameters of effects cost a density of the whole log for each proposal, and transport moves change them as well.
 _METROPOLIS_STEPS = 2
+
+
+class Loss(NamedTuple):
+    """Why not the log as it is and the model that was asked for are criticised: the filter loses the robot.
+
+    Attributes
+    ----------
+    model : RobotModel
+        The model that was asked for.
+    what : str
+        What is missing by that, for the sentence, e.g. "from t=330.5 s on the filter loses the robot".
+    place : Unexplained
+        The rows.
+    partial : bool
+        Whether the log is only a part of the one that was asked for. Otherwise the model has gross errors in addition.
+    """
+
+    model: RobotModel
+    what: str
+    place: Unexplained
+    partial: bool = False
 
 
 class Loop:
@@ -56,6 +77,10 @@ class Loop:
         The base model.
     search : Search
         Searches through the candidates for the log.
+    loss : Loss, optional
+        Why these are not the model and the log that were asked for.
+    notes : sequence of str
+        Notes with which the result begins.
 
     Attributes
     ----------
@@ -73,9 +98,11 @@ class Loop:
         Posterior probability that the base model lacks nothing; NaN where its filter loses the robot.
     """
 
-    def __init__(self, model: RobotModel, search: Search) -> None:
-        self.base, self.search, self.log = model, search, search.log
-        self.notes: list[str] = []
+    def __init__(
+        self, model: RobotModel, search: Search, loss: Loss | None = None, notes: Sequence[str] = ()
+    ) -> None:
+        self.base, self.search, self.log, self.loss = model, search, search.log, loss
+        self.notes = list(notes)
         self.steps: list[Step] = []
         self.found: list[FoundEffect] = []
         self.split = round((1.0 - HELD_OUT_SHARE) * self.log.n_steps)
@@ -100,6 +127,11 @@ class Loop:
             Draws of each full chain.
         always : bool
             Whether full chains are run even if no effect was added.
+
+        Raises
+        ------
+        FilterError
+            When the filter loses the robot and no single effect lets it follow; it tells the row where that is known.
         """
         self.settings.tell("fitting the base model")
         bound = self.base.bind(self.log)
@@ -111,7 +143,7 @@ class Loop:
         if recovery is not None:
             last = self._add_recovery(last, recovery)
         else:
-            self.nothing_probability = nothing_without_refits(first.judgement, self.search.directions)
+            self._nothing_is(nothing_without_refits(first.judgement, self.search.directions))
         for number in range(int(recovery is not None), rounds + 1):
             if in_doubt(last.judgement) and (self.found or number == rounds):
                 last = self.search.judge_again(last)
@@ -120,7 +152,7 @@ class Loop:
             current = self.search.refits.base_trial(last.fit)
             shown = self.search.effect_shown_by_data(last, current) if number < rounds else None
             if shown is not None:
-                self.nothing_probability = self.nothing_probability if self.found else 0.0
+                self._nothing_is(0.0)
                 last = self._accept(last, shown, "add {}: the data show it")
                 continue
             if not alarms or number == rounds:
@@ -134,16 +166,17 @@ class Loop:
             if doubted and not outcome.certain:
                 first = last = self.search.judge_again(last)
                 if not last.judgement.raised:
-                    self.nothing_probability = outcome.probable.nothing
+                    self._nothing_is(outcome.probable.nothing)
                     self._record(last, outcome.trials, "nothing unusual")
                     break
                 outcome = self.search.explain(last, current)
-            if not self.found:
-                self.nothing_probability = outcome.probable.nothing
+            self._nothing_is(outcome.probable.nothing)
             if outcome.accepted is None:
                 self._record(last, outcome.trials, "nothing known explains it")
                 break
             last = self._accept(last, outcome, "add {}")
+        if self.loss is not None and self.loss.model.sensors != self.base.sensors:
+            last = self._without_gross_errors(self.loss, last)
         return self._result(first, last, draws, chains=joint and (bool(self.found) or always))
 
     def _recovery(self, fit: Fit) -> Recovery | None:
@@ -154,10 +187,12 @@ class Loop:
         try:
             self._follow(fit)
         except FilterError as lost:
+            if self.loss is not None:
+                raise
             recovery = self.search.recover(fit, partial(self._follow, patient=True))
             if recovery is None:
                 raise
-            when = str(lost).partition(" at ")[2].partition(";")[0]
+            when = f"t={self.log.times[lost.row or 0]:g} s"
             name = recovery.accepted.model.effects[-1].name
             self.notes.append(f"without {name} the filter loses the robot at {when}")
             self.settings.tell(f"named {name}: with it the filter follows", "fitting the model with it")
@@ -174,6 +209,11 @@ class Loop:
         channels = set(zip(predictions.kind.tolist(), predictions.channel.tolist(), strict=True))
         if len(channels) < 2:
             self.notes.append("one channel only: its own errors cannot be told from those of the path")
+
+    def _nothing_is(self, probability: float) -> None:
+        """Set the probability that the base model lacks nothing, as long as it is the base model that is judged."""
+        if not self.found and self.loss is None:
+            self.nothing_probability = probability
 
     def _follow(self, fit: Fit, patient: bool = False) -> None:
         """Use as many particles as follow the robot from now on; raise FilterError if none do."""
@@ -229,6 +269,45 @@ class Loop:
             self.notes.append(f"{removed.name} was added first and dropped when a later effect explained it")
         return trial
 
+    def _without_gross_errors(self, loss: Loss, last: JudgedFit) -> JudgedFit:
+        """Return the final model without gross errors, fitted and judged, if it needs none; else the model as it is.
+
+        With what was found in it, the filter of the model that was asked for may follow the robot. It then stays if the
+        log speaks no more for gross errors than against them.
+        """
+        if not self.found:
+            return last
+        self.settings.tell("is the filter still lost without gross errors?")
+        judged, refits = last.fit, self.search.refits
+        model = replace(judged.bound.model, sensors=loss.model.sensors)
+        bound, known = model.bind(self.log), judged.values()
+        theta = np.array([known[name] for name in bound.names])
+        try:
+            compile_for_criticism(bound.tables(theta)[0])
+            fit = quick_fit(
+                bound, stream_seed(self.settings.seed, "fit without gross errors"), theta=theta, path=judged.path
+            )
+            self._follow(fit)
+            current, without = (
+                trial_of_base(one, seed=refits.seed, particles=self.settings.comparing) for one in (judged, fit)
+            )
+        except FilterError:
+            self.notes.append("gross errors are still needed: without them the filter loses the robot")
+            return last
+        evidence = evidence_between(current, without)
+        if evidence > 0.0:
+            self.notes.append(f"gross errors are still needed: the log speaks for them with {evidence:.1f} nats")
+            return last
+        try:
+            again = self.search.judge(fit)
+        except FilterError as error:
+            self.notes.append(f"gross errors are kept: {error}")
+            return last
+        self.notes.append("gross errors were allowed for at first, and dropped when what was found explained them")
+        self.held_out = None
+        self._record(again, [], "allow for no gross errors: with what was found the filter follows")
+        return again
+
     def _record(
         self, last: JudgedFit, trials: Sequence[Trial], decision: str, accepted: Trial | None = None
     ) -> None:
@@ -252,15 +331,19 @@ class Loop:
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
-    def _calibrated(self, model: RobotModel, draws: int) -> Posterior:
-        """Run full chains of the final model."""
+    def _calibrated(self, model: RobotModel, draws: int) -> Posterior | None:
+        """Run full chains of the final model; return None, and note why, if they lose the robot."""
         self.settings.tell("calibrating the final model by full chains")
         reporter = self.settings.reporter
-        with reporter.paused():
-            return calibrate(
-                self.log, model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
-                seed=self.settings.seed, progress=reporter.live,
-            )  # fmt: skip
+        try:
+            with reporter.paused():
+                return calibrate(
+                    self.log, model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
+                    seed=self.settings.seed, progress=reporter.live,
+                )  # fmt: skip
+        except (FilterError, SamplingError) as error:
+            self.notes.append(f"there is no posterior by full chains: {error}")
+            return None
 
     def _result(self, first: JudgedFit, last: JudgedFit, draws: int, chains: bool) -> Criticism:
         """Return the result; `chains` tells whether full chains of the final model are run."""
@@ -268,6 +351,7 @@ class Loop:
         model = last.fit.bound.model
         if chains:
             posterior = self._calibrated(model, draws)
+        if posterior is not None:
             after = drawn_estimates(last.fit, posterior)
         elif self.found:
             after = estimates(
@@ -283,14 +367,16 @@ class Loop:
         )
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)
-        settings: dict[str, Any] = vars(self.settings) | {"split": self.split, "log": self.log.fingerprint()}
-        del settings["workers"], settings["reporter"]  # the result does not depend on them
+        lost = ""
+        if self.loss is not None and (self.loss.partial or not found):
+            lost = self.loss.what
+            verdict, unexplained = UNKNOWN, (self.loss.place, *unexplained)
         # The model that is handed over applies to other logs as well: its formulas are evaluated anew on each.
         model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
         log = with_estimates(self.log, last.fit.tables, last.fit.path) if path_formulas(model.effects) else self.log
         return Criticism(
             verdict=verdict,
-            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log),
+            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log, lost),
             effects=found,
             unexplained=unexplained,
             steps=tuple(self.steps),
@@ -304,7 +390,7 @@ class Loop:
             last=last,
             posterior=posterior,
             notes=tuple(self.notes),
-            settings=settings,
+            settings=self.settings.recorded(self.split, self.log.fingerprint()),
             nothing_probability=self.nothing_probability,
         )
 

@@ -57,6 +57,20 @@ class Settings:
         """
         self.reporter.tell(message, doing)
 
+    def recorded(self, split: int, fingerprint: str) -> dict[str, Any]:
+        """Return the settings that reproduce a run; the result does not depend on the others.
+
+        Parameters
+        ----------
+        split : int
+            First row of the held-out part.
+        fingerprint : str
+            The log's fingerprint.
+        """
+        told = vars(self) | {"split": split, "log": fingerprint}
+        del told["workers"], told["reporter"]
+        return told
+
     def mapped(self, function: Callable[[int], Any], activity: str, names: Sequence[str]) -> list[Any]:
         """Evaluate a function at 0, 1, ..., in threads; kernels release the interpreter's lock.
 

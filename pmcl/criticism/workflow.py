@@ -11,12 +11,10 @@ from pmcl import defaults
 from pmcl.criticism.arguments import check_arguments
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE
-from pmcl.criticism.loop import Loop
-from pmcl.criticism.naming.search import Search
+from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.progress import Progress
 from pmcl.criticism.settings import Settings
 from pmcl.errors import CriticismError
-from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.schema import readings
@@ -27,8 +25,6 @@ from pmcl.preflight.check import checked_logs
 
 __all__ = ["criticize"]
 
-# A log must have so many rows, for a fit on one part and a comparison on the other (chosen by hand).
-_LEAST_ROWS = 60
 # Both parts of a log must have so many readings (chosen by hand).
 _LEAST_READINGS = 20
 
@@ -94,8 +90,6 @@ def criticize(
     CriticismError
         When the log is too short to split, when nothing in it moves, or when a posterior is asked for without full
         chains.
-    FilterError
-        When the filter loses the robot and no single effect lets it follow; scores mean nothing then.
     PmclError
         When model and log do not fit each other.
 
@@ -106,8 +100,14 @@ def criticize(
     the whole log. The most probable effect is added, and told with those that may be meant instead. The gap is that of
     the last 40 % of the rows, predicted by models whose parameters are fitted to the rows before. An alarm that is not
     beyond doubt is judged again with three times as many simulated logs, unless some effect explains it beyond doubt.
-    If the filter of the base model loses the robot, effects of the motion are refitted first, then effects of the
-    sensors; the first one that lets the filter follow is added.
+
+    If the filter of the base model loses the robot, scores mean nothing. Effects of the motion are refitted then, and
+    after them effects of the sensors; the first one that lets the filter follow is added. If there is none, gross
+    errors are allowed for among the readings, and effects are sought beside them. In the end gross errors are left out
+    again, if the filter follows without them and the log does not speak for them. If the filter is lost with gross
+    errors, too, only the rows before the loss are judged. If these are too few, the result says where the robot is
+    lost. Notes tell what of this was done. The verdict is "unknown effect" then, unless effects were found on the whole
+    log and no alarm is left.
     """
     check_arguments(
         log, model, effects, {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds,
@@ -126,19 +126,22 @@ def criticize(
     with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
         settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
-        log = with_estimated_path(log, base, seed=seed)
-        offered = candidates(log) if effects is None else effects
-        return Loop(base, Search(log, offered, settings)).run(rounds, joint, draws, always=posterior)
+        runs = Runs(
+            settings,
+            offered=candidates if effects is None else lambda log: effects,
+            run=lambda loop: loop.run(rounds, joint, draws, always=posterior),
+        )
+        return runs.criticism_of(log, base)
 
 
 def _check(log: RobotLog) -> None:
-    if log.n_steps < _LEAST_ROWS:
+    if log.n_steps < LEAST_ROWS:
         # The rows of a lidar's log are those scans that a filter uses; recordings hold more.
         more = "; record longer"
         if log.lidars:
             more += ", or convert with more scans (--update-min-d 0.1 --update-min-a 0.1; 0 takes every scan)"
         raise CriticismError(
-            f"{log.where}: expected at least {_LEAST_ROWS} rows, to fit on one part and judge on another, but got "
+            f"{log.where}: expected at least {LEAST_ROWS} rows, to fit on one part and judge on another, but got "
             f"{log.n_steps}{more}"
         )
     split = round((1.0 - HELD_OUT_SHARE) * log.n_steps)

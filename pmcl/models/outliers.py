@@ -1,12 +1,19 @@
-"""The default prior of the share of readings that are gross errors."""
+"""Gross errors among the readings: the default prior of their share, and models that allow for them."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from scipy import stats
 
-__all__ = ["outlier_prior"]
+if TYPE_CHECKING:
+    from pmcl.models.robot_model import RobotModel
+
+__all__ = ["OUTLIER_WEIGHT", "outlier_prior", "with_gross_errors"]
+
+OUTLIER_WEIGHT = "outlier_weight"
+"""Names of parameters that are shares of gross errors end so."""
 
 
 def outlier_prior() -> Any:
@@ -16,3 +23,23 @@ def outlier_prior() -> Any:
     every reading is an outlier.
     """
     return stats.beta(1.0, 30.0)
+
+
+def with_gross_errors(model: RobotModel) -> RobotModel:
+    """Return a model whose sensors all allow for gross errors, where they can.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The model.
+
+    Returns
+    -------
+    RobotModel
+        The model itself if there is nothing to change: a lidar has a share of readings that nothing explains anyway.
+    """
+    if all(getattr(sensor, "outliers", True) for sensor in model.sensors):
+        return model
+    allowing: list[Any] = list(model.sensors)
+    sensors = [sensor if getattr(sensor, "outliers", True) else replace(sensor, outliers=True) for sensor in allowing]
+    return replace(model, sensors=tuple(sensors))

@@ -179,6 +179,8 @@ def label_of(candidate: Candidate) -> str:
 
 def _models(criticism: Criticism) -> list[tuple[str, ScoredLog]]:
     """Return the log scored under the base model, and under the final one if it differs, with titles."""
+    if criticism.first is None or criticism.last is None:
+        return []
     before = ("before", criticism.first.scored)
     if criticism.last is criticism.first:
         return [before]

@@ -118,6 +118,8 @@ def _rejected_row(number: int, step: Step, candidate: Candidate) -> tuple[str, .
 
 
 def _pictures(criticism: Criticism) -> list[Picture]:
+    if criticism.first is None:  # nothing was judged
+        return []
     pictures = [
         picture(
             plot_map(criticism),
@@ -182,6 +184,7 @@ def _gaps(criticism: Criticism) -> list[tuple[str, str, str, str]]:
             f"{100.0 * step.gap.coverage_90:.1f} %",
         )
         for step in criticism.steps
+        if not math.isnan(step.gap.log_score_per_reading)  # nothing was judged
     ]
 
 

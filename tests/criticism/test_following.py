@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from pmcl.criticism.fitting import following
-from pmcl.criticism.fitting.following import lost_at, particles_that_follow
+from pmcl.criticism.fitting.following import gross_at, lost_at, particles_that_follow
 from pmcl.errors import FilterError
 from pmcl.filtering.one_step_ahead import Predictions, predict_readings
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.simulations.amigobot import simulate_amigobot
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -90,19 +91,49 @@ def test_a_robot_that_was_carried_away_is_lost_from_then_on(log):
     lost = lost_at(made, 120)
     assert lost is not None
     assert 50 <= lost <= 75
-    with pytest.raises(FilterError, match=r"carried.nc: the filter loses the robot at t=\d+ s; allow for gross errors"):
+    with pytest.raises(FilterError, match=r"carried.nc: the filter loses the robot at t=\d+ s") as caught:
         particles_that_follow(bound, theta, 500, 1)
-    # The advice holds here, too: the part before the robot was carried away is followed.
+    assert 50 <= caught.value.row <= 75
+    # The part before the robot was carried away is followed.
     before = carried.select(0, 55)
     assert particles_that_follow(default_model(before).bind(before), theta, 500, 1) == (500, "")
 
 
-def test_a_model_with_gross_errors_is_not_advised_to_have_them(log):
-    carried = _carried(log)
-    bound = default_model(carried, outliers=True).bind(carried)
-    theta = np.array([*NOISE.values(), 0.001])
-    with pytest.raises(FilterError, match=r"at t=\d+ s; criticize the part of the log before that time"):
-        particles_that_follow(bound, theta, 500, 1)
+def test_a_lost_robot_shows_although_all_its_readings_may_be_gross_errors():
+    """With gross errors in the model no reading contradicts it; a lost robot shows in most of them being such."""
+    log = simulate_landmark_field(200, 1, bearings=True)
+    dataset = log.dataset.copy(deep=True)
+    for name in ("landmark_range", "landmark_bearing"):
+        dataset[name].values[100:] = log.dataset[name].values[:100]
+    theta = np.array([0.1, 0.02, 0.1, 0.3, 0.05, 0.2])
+
+    def judged(log):
+        bound = default_model(log, outliers=True).bind(log)
+        made = predict_readings(bound.tables(theta)[0], 200, 500, make_rng(1))
+        return lost_at(made, 200), gross_at(bound, theta, made, make_rng(2))
+
+    assert judged(log) == (None, None)
+    unseen, seen = judged(RobotLog(dataset, "carried"))
+    assert unseen is None
+    assert 85 <= seen <= 135
+    # A model without gross errors has none to count.
+    bound = default_model(log).bind(log)
+    made = predict_readings(bound.tables(theta[:5])[0], 200, 100, make_rng(1))
+    assert gross_at(bound, theta[:5], made, make_rng(2)) is None
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_gross_errors_here_and_there_are_no_lost_robot(share):
+    log = simulate_landmark_field(200, 1, bearings=True)
+    dataset, rng = log.dataset.copy(deep=True), np.random.default_rng(1)
+    gross = rng.random(dataset["landmark_range"].shape) < share
+    dataset["landmark_range"].values[gross] = rng.uniform(0.5, 8.0, gross.sum())
+    dataset["landmark_bearing"].values[gross] = rng.uniform(-3.0, 3.0, gross.sum())
+    wild = RobotLog(dataset, "wild")
+    bound = default_model(wild, outliers=True).bind(wild)
+    theta = np.array([0.1, 0.02, 0.1, 0.3, 0.05, share])
+    made = predict_readings(bound.tables(theta)[0], 200, 500, make_rng(1))
+    assert gross_at(bound, theta, made, make_rng(2)) is None
 
 
 def test_a_missing_effect_of_one_channel_is_no_lost_robot(log):

@@ -216,18 +216,28 @@ def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere(rng):
 
 
 @pytest.mark.slow
-def test_a_model_that_loses_the_robots_it_simulates_is_said_plainly(monkeypatch):
+@pytest.mark.parametrize("always", [False, True])
+def test_a_simulated_robot_that_is_lost_is_simulated_again(monkeypatch, always):
+    """A model that loses one robot after another cannot be judged by such logs, and says so."""
     log = simulate_landmark_field(60, 1, bearings=True)
     fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
     made, score_log = [], judged_log.score_log
 
     def lost_in_the_third(bound, *given, **settings):
-        made.append(bound)
-        if len(made) < 3:
+        made.append(bound.logs[0])
+        if len(made) < 3 or (len(made) > 3 and not always):
             return score_log(bound, *given, **settings)
         raise FilterError("particle filter: at row 12 every particle has weight zero", row=12)
 
     monkeypatch.setattr(judged_log, "score_log", lost_in_the_third)
-    with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
-        judged_log.judge_log(log, fit, (), SETTINGS)
-    assert str(caught.value).startswith(log.where)
+    if always:
+        with pytest.raises(FilterError, match=f"loses the robot at t={log.times[12]:g} s of a log that") as caught:
+            judged_log.judge_log(log, fit, (), SETTINGS)
+        assert str(caught.value).startswith(log.where)
+        assert caught.value.row is None  # it is no row of the log
+        return
+    judged = judged_log.judge_log(log, fit, (), SETTINGS)
+    count = len(judged.simulated)
+    assert len(made) == 1 + count + 1
+    lost, again = (one.dataset["landmark_range"].values for one in made[2:4])
+    assert not np.array_equal(lost, again, equal_nan=True)

@@ -117,7 +117,7 @@ class Unexplained:
     Attributes
     ----------
     channel : str
-        Variable of the log, or the name of a score.
+        Variable of the log, or the name of a score; "pose" where the filter loses the robot.
     beams : tuple of int
         Beams or landmarks; empty for all.
     covariate, moment : str
@@ -129,7 +129,8 @@ class Unexplained:
         First and last row of the interval of rows in which it is worst.
     p_value : float
         Probability of such an alarm when the model is right, all families of alarms considered (Holm 1979). It may be
-        compared with the rate of false alarms directly; p-values of single families are in :attr:`Step.alarms`.
+        compared with the rate of false alarms directly; p-values of single families are in :attr:`Step.alarms`. NaN
+        where the filter loses the robot.
     """
 
     channel: str

@@ -74,8 +74,9 @@ class Criticism:
         The log; with an estimate of its path if the final model has formulas that need one.
     split : int
         First row of the held-out part.
-    first, last : JudgedFit
-        The first and the last model, with the log's tests under each.
+    first, last : JudgedFit or None
+        The first and the last model, with the log's tests under each; None where nothing could be judged, because the
+        filter loses the robot.
     posterior : ArviZ posterior or None
         The posterior of the final model, if full chains were run. It holds that model, so that
         :func:`pmcl.localization.offline.localize` and :func:`pmcl.localization.model_choice.model_for` need no other
@@ -100,8 +101,8 @@ class Criticism:
     after: Mapping[str, Estimate]
     log: RobotLog
     split: int
-    first: JudgedFit
-    last: JudgedFit
+    first: JudgedFit | None
+    last: JudgedFit | None
     posterior: Any = None
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)

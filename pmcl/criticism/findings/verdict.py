@@ -93,6 +93,7 @@ def sentence_of(
     before: Mapping[str, Estimate],
     after: Mapping[str, Estimate],
     log: RobotLog,
+    lost: str = "",
 ) -> str:
     """Return the verdict in one sentence for a robotics engineer.
 
@@ -110,6 +111,8 @@ def sentence_of(
         Parameters of the base model and of the final model.
     log : RobotLog
         The log.
+    lost : str
+        Where the filter of the base model loses the robot, if that is what remains unexplained.
     """
     parts = []
     if found:
@@ -122,7 +125,10 @@ def sentence_of(
     if verdict == NOTHING:
         weak = f"; a weak alarm (p = {unexplained[0].p_value:.1e}) is confirmed by nothing" if unexplained else ""
         return f"No missing effect: nothing about this log is unusual under the model{weak}"
-    if verdict == UNKNOWN:
+    subject = "something more is" if found else "something is"
+    if verdict == UNKNOWN and lost:
+        parts.append(f"{subject} missing that no known effect explains: {lost}")
+    elif verdict == UNKNOWN:
         worst = unexplained[0]
         kind = "landmark" if worst.channel.startswith("landmark") else "beam"
         where = worst.channel if worst.channel in log.dataset else f"the score of {worst.channel}"
@@ -131,7 +137,6 @@ def sentence_of(
         elif worst.beams:
             where += f" of {kind}{'s' if len(worst.beams) > 1 else ''} {channels_of(worst, log)}"
         depends = f", depending on {worst.covariate}" if worst.covariate else ""
-        subject = "something more is" if found else "something is"
         parts.append(
             f"{subject} missing that no known effect explains: it shows in {where}{depends}, most in rows "
             f"{worst.time[0]} to {worst.time[1]} (p = {worst.p_value:.1e})"

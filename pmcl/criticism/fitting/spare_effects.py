@@ -12,7 +12,7 @@ from pmcl.criticism.fitting.trials import Trial, log_prior_and_volume, trial_of_
 from pmcl.errors import DensityError, PmclError
 from pmcl.models.effects.effect import Effect
 
-__all__ = ["without_spare_effects"]
+__all__ = ["evidence_between", "without_spare_effects"]
 
 
 def without_spare_effects(
@@ -41,7 +41,7 @@ def without_spare_effects(
     trial, dropped, position = newest, [], n_base
     while position < len(trial.model.effects) - 1:
         without = _without(trial, position, seed) if trial.model.effects[position].tells is None else None
-        if without is None or _evidence_for(trial, without) + log_prior_odds(trial.model.effects[position]) > 0.0:
+        if without is None or evidence_between(trial, without) + log_prior_odds(trial.model.effects[position]) > 0.0:
             position += 1
             continue
         trial = replace(without, effect=newest.effect, z=newest.z, gain=newest.gain)
@@ -49,8 +49,14 @@ def without_spare_effects(
     return trial, dropped
 
 
-def _evidence_for(trial: Trial, without: Trial) -> float:
-    """Return the log evidence for the effect that only one of two models has [nat]."""
+def evidence_between(trial: Trial, without: Trial) -> float:
+    """Return the log evidence for what only one of two models has [nat].
+
+    Parameters
+    ----------
+    trial, without : Trial
+        The models, scored with as many particles.
+    """
     gain = float(trial.row_scores.sum() - without.row_scores.sum()) + 0.5 * (trial.noise**2 - without.noise**2)
     return gain + log_prior_and_volume(trial.fit) - log_prior_and_volume(without.fit)
 

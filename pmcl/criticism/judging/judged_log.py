@@ -30,6 +30,8 @@ _BEYOND_DOUBT, _MORE_SIMULATIONS = 1e-5, 3
 # The number of simulated logs is at least _LEAST_SIMULATIONS and _PER_PARAMETER for each parameter, because the
 # parameters' scores are projected out of every number (chosen by hand).
 _LEAST_SIMULATIONS, _PER_PARAMETER = 12, 3
+# A simulated log whose filter loses the robot is drawn anew at most so many times (chosen by hand).
+_DRAWN_ANEW = 3
 
 
 class JudgedLog(NamedTuple):
@@ -71,7 +73,7 @@ def judge_log(log: RobotLog, fit: Fit, directions: Sequence[Direction], settings
     Raises
     ------
     FilterError
-        When the filter loses the robot of the log, or of a simulated log.
+        When the filter loses the robot of the log, or of one simulated log after another.
     """
     count = max(settings.simulations, _LEAST_SIMULATIONS + _PER_PARAMETER * fit.theta.size)
     settings.tell(f"scoring {len(directions)} directions, and simulating {count} logs")
@@ -113,28 +115,32 @@ def with_more_simulations(
 def _simulated(
     log: RobotLog, fit: Fit, directions: Sequence[Direction], numbers: range, settings: Settings
 ) -> list[ScoredLog]:
-    """Simulate and score logs of the fitted model; the number of a log determines its random numbers."""
+    """Simulate and score logs of the fitted model; the number of a log determines its random numbers.
+
+    A log whose filter loses the robot at once is drawn anew: the recorded log is judged only if its own filter follows.
+    """
 
     def simulate_and_score(k: int) -> ScoredLog:
         rng = make_rng(stream(settings.seed, "simulated log", numbers[k]))
         model = fit.bound.model
         by_turning = bool(getattr(model.motion, "aside_by_turning", False))
-        replica = replicated_log(log, fit.tables, fit.path, rng, by_turning=by_turning)
-        bound = model.bind(replica.log)
         seed = stream(settings.seed, "scores of a simulated log", numbers[k])
-        try:
-            return score_log(
-                bound, fit.theta, directions, path=replica.path, particles=settings.particles, paths=settings.paths,
-                seed=seed,
-            )  # fmt: skip
-        except FilterError as error:
-            if error.row is None:
-                raise
-            raise FilterError(
-                f"{log.where}: the filter loses the robot at t={log.times[error.row]:g} s of a log that the fitted "
-                "model simulates, so nothing can be judged by such logs; use more particles, or restart with a wider "
-                "start belief"
-            ) from None
+        for _ in range(1 + _DRAWN_ANEW):
+            replica = replicated_log(log, fit.tables, fit.path, rng, by_turning=by_turning)
+            bound = model.bind(replica.log)
+            try:
+                return score_log(
+                    bound, fit.theta, directions, path=replica.path, particles=settings.particles,
+                    paths=settings.paths, seed=seed,
+                )  # fmt: skip
+            except FilterError as error:
+                if error.row is None:
+                    raise
+                row = error.row
+        raise FilterError(
+            f"{log.where}: the filter loses the robot at t={log.times[row]:g} s of a log that the fitted model "
+            f"simulates, and of {_DRAWN_ANEW} further ones, so that nothing can be judged by such logs"
+        )
 
     return settings.mapped(simulate_and_score, "simulating logs", [""] * len(numbers))
 

@@ -232,17 +232,30 @@ def parameter_scores(bound: BoundModel, theta: Float, columns: Float) -> Float:
     """
     scores = np.zeros((theta.size, columns.shape[2]))
     densities = _Densities(columns, bound.tables(theta)[0])
-    spread = np.array([min(float(p.prior.std()), 1.0) for p in bound.parameters])
-    step = _PARAMETER_SHARE * np.maximum(np.abs(theta), 0.1 * spread)
-    # A prior with a long tail says little of the size of a parameter: an alpha of 1e-4 under one that reaches 1.
-    bounds = np.array([prior_support(p.prior) for p in bound.parameters])
-    step = np.minimum(step, _OF_SUPPORT * np.minimum(theta - bounds[:, 0], bounds[:, 1] - theta))
+    step = parameter_steps(bound, theta)
     for k, score in enumerate(scores):
         shift = step[k] * (np.arange(theta.size) == k)
         below, above = theta - shift, theta + shift
         with _scored_between("the model", bound.logs[0], bound.names, below, above):
             densities.add_difference(bound.tables(above)[0], bound.tables(below)[0], score)
     return 0.5 * scores
+
+
+def parameter_steps(bound: BoundModel, theta: Float) -> Float:
+    """Return how far :func:`parameter_scores` moves each parameter to either side, (d,).
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model.
+    theta : ndarray, shape (d,)
+        Its parameters.
+    """
+    spread = np.array([min(float(p.prior.std()), 1.0) for p in bound.parameters])
+    step = _PARAMETER_SHARE * np.maximum(np.abs(theta), 0.1 * spread)
+    # A prior with a long tail says little of the size of a parameter: an alpha of 1e-4 under one that reaches 1.
+    bounds = np.array([prior_support(p.prior) for p in bound.parameters])
+    return np.asarray(np.minimum(step, _OF_SUPPORT * np.minimum(theta - bounds[:, 0], bounds[:, 1] - theta)))
 
 
 def _mean_change(above: Float, below: Float) -> Float:
