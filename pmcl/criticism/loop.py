@@ -19,6 +19,7 @@ from pmcl.criticism.findings.assemble import (
     found_effect,
     unexplained_of,
     with_estimates_of,
+    with_window,
 )
 from pmcl.criticism.findings.parts import FoundEffect, Step
 from pmcl.criticism.findings.result import Criticism, JudgedFit
@@ -27,6 +28,7 @@ from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import gap_of
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.trials import Trial, spare_effects
+from pmcl.criticism.fitting.when import Acting, acting
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.choice import twins_of
 from pmcl.criticism.naming.lost_robot import Recovery
@@ -43,6 +45,7 @@ from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimates
 from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
 from pmcl.filtering.particle_filter import make_rng
+from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
@@ -316,6 +319,17 @@ class Loop:
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
+    def _windows(self, fit: Fit, added: Sequence[Effect]) -> list[Acting | None]:
+        """Return when each added effect acts, given a fit of the final model to the whole log."""
+        if added:
+            self.settings.tell("looking for when each effect acts")
+        seed = stream_seed(self.settings.seed, "windows of effects")
+
+        def find(k: int) -> Acting | None:
+            return acting(fit, added[k], particles=self.settings.comparing, seed=seed)
+
+        return self.settings.mapped(find, "windows of effects", [effect.name for effect in added])
+
     def _calibrated(self, model: RobotModel, draws: int) -> Posterior:
         """Run full chains of the final model."""
         self.settings.tell("calibrating the final model by full chains")
@@ -347,9 +361,10 @@ class Loop:
                 )
             )  # fmt: skip
         added = model.named_effects[len(self.base.effects) :]
+        windows = self._windows(last.fit, added)
         found = tuple(
-            with_estimates_of(found, effect, after, model.fixed)
-            for found, effect in zip(self.found, added, strict=True)
+            with_window(with_estimates_of(found, effect, after, model.fixed), effect, window)
+            for found, effect, window in zip(self.found, added, windows, strict=True)
         )
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)

@@ -109,12 +109,13 @@ class Criticism:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
+        times = self.log.times.tolist()
         return {
             "format": FORMAT,
             "verdict": self.verdict,
             "nothing_probability": self.nothing_probability,
             "sentence": self.sentence,
-            "effects": [effect_entry(effect) for effect in self.effects],
+            "effects": [effect_entry(effect, (times[0], times[-1])) for effect in self.effects],
             "unexplained": [unexplained_entry(disagreement) for disagreement in self.unexplained],
             "steps": [step_entry(step) for step in self.steps],
             "parameters": {"before": estimates_entry(self.before), "after": estimates_entry(self.after)},
