@@ -25,7 +25,7 @@ from pmcl.criticism.findings.parts import FoundEffect, Step
 from pmcl.criticism.findings.result import Criticism, JudgedFit
 from pmcl.criticism.findings.verdict import sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
-from pmcl.criticism.fitting.held_out import gap_of
+from pmcl.criticism.fitting.held_out import bound_to_other, gap_of
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.trials import Trial, spare_effects
 from pmcl.criticism.fitting.when import Acting, acting
@@ -97,11 +97,21 @@ class Loop:
         self.found: list[FoundEffect] = []
         self.predictions: list[tuple[Predictions, Float]] = []
         self.nothing_probability = np.nan
+        if search.held_out is not None:
+            self.notes.append(
+                f"models are fitted to the whole of {self.log.where}; gains are confirmed and gaps shown on "
+                f"{search.held_out.where}, which no fit has used"
+            )
 
     @property
     def settings(self) -> Settings:
         """Settings of the run; the number of particles may have grown."""
         return self.search.settings
+
+    @property
+    def _held_out_rows(self) -> slice:
+        """The rows of the held-out part among those that are predicted for the gaps."""
+        return slice(self.search.split if self.search.held_out is None else 0, None)
 
     def run(self, rounds: int, joint: bool, draws: int, always: bool) -> Criticism:
         """Run the loop.
@@ -276,7 +286,7 @@ class Loop:
         n_base = len(self.base.effects)
         refits = self.search.refits
         trial, dropped = spare_effects(
-            refits.comparable(accepted), n_base, self.log, self.search.split, seed=refits.seed,
+            refits.comparable(accepted), n_base, refits.logs, self.search.split, seed=refits.seed,
             particles=self.settings.comparing,
         )  # fmt: skip
         for position in dropped:
@@ -307,14 +317,15 @@ class Loop:
         accepted : Trial, optional
             The trial that is added to the model.
         """
-        bound = current.model.bind(self.log)
+        held_out = self.search.held_out
+        bound = current.model.bind(self.log) if held_out is None else bound_to_other(current.model, held_out)
         rng = make_rng(stream(self.settings.seed, "predictions of a step"))
         predictions = predict_by_passes(
-            bound.tables(current.fit.theta)[0], self.log.n_steps, self.settings.comparing, rng
+            bound.tables(current.fit.theta)[0], bound.lengths[0], self.settings.comparing, rng
         )
         pit = predictions.pit(rng)
         self.predictions.append((predictions, pit))
-        gap = gap_of(predictions, pit, slice(self.search.split, None))
+        gap = gap_of(predictions, pit, self._held_out_rows)
         names = tuple(effect.name for effect in bound.model.effects)
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
@@ -343,9 +354,8 @@ class Loop:
     def _result(self, first: JudgedFit, last: JudgedFit, draws: int, chains: bool) -> Criticism:
         """Return the result; `chains` tells whether full chains of the final model are run."""
         # The held-out part may have become shorter during the run; all gaps are those of the last one.
-        heldout = slice(self.search.split, None)
         self.steps = [
-            replace(step, gap=gap_of(predictions, pit, heldout))
+            replace(step, gap=gap_of(predictions, pit, self._held_out_rows))
             for step, (predictions, pit) in zip(self.steps, self.predictions, strict=True)
         ]
         before, after, posterior = estimates(first.fit), estimates(last.fit), None
@@ -369,6 +379,8 @@ class Loop:
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)
         settings: dict[str, Any] = vars(self.settings) | {"split": self.search.split, "log": self.log.fingerprint()}
+        if self.search.held_out is not None:
+            settings["held_out"] = self.search.held_out.fingerprint()
         del settings["workers"], settings["reporter"]  # the result does not depend on them
         # The model that is handed over applies to other logs as well: its formulas are evaluated anew on each.
         model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
@@ -385,6 +397,7 @@ class Loop:
             after=after,
             log=log,
             split=self.search.split,
+            held_out=self.search.held_out,
             first=first,
             last=last,
             posterior=posterior,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pmcl import defaults
-from pmcl.criticism.arguments import check_arguments
+from pmcl.criticism.arguments import check_arguments, check_other
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.loop import Loop
 from pmcl.criticism.naming.search import Search
@@ -34,6 +34,7 @@ def criticize(
     log: RobotLog,
     model: RobotModel | None = None,
     *,
+    held_out: RobotLog | None = None,
     effects: Sequence[Effect] | None = None,
     particles: int = defaults.CRITICISM_PARTICLES,
     seed: int = 0,
@@ -55,6 +56,9 @@ def criticize(
         The log; its reference trajectory and true parameters are never read.
     model : RobotModel, optional
         The base model; the default model of the log when left out.
+    held_out : RobotLog, optional
+        Another log of the robot with the same sensors. Models are then fitted to the whole of `log`, gains are
+        confirmed on this one, and it gives the gaps. When left out, the last part of `log` serves for that.
     effects : sequence of Effect, optional
         Candidates; when left out, all effects of the catalogue at all places that the log has.
     particles : int
@@ -97,18 +101,19 @@ def criticize(
 
     Notes
     -----
-    An effect is chosen on the first 60 % of the rows. The other rows, which alone give the gap, must confirm it. If the
-    disagreement begins too late for that, the shares are 80 and 20 %. An alarm that is not beyond doubt is judged again
-    with three times as many simulated logs. This is not necessary when an effect gains more than two standard errors on
-    the held-out part, or when it gains one standard error there and, on the whole log, two and more than chance can. A
-    number that deviates by z standard errors costs a model at least z^2 / 2 nats. An effect that gains less must
-    therefore also be the best one among all effects of the whole robot and formulas. If the filter of the base model
-    loses the robot, effects of the motion are refitted first, then effects of the sensors; the first one that lets the
-    filter follow is added.
+    Unless another log is held out, an effect is chosen on the first 60 % of the rows. The other rows, which alone give
+    the gap, must confirm it. If the disagreement begins too late for that, the shares are 80 and 20 %. An alarm that is
+    not beyond doubt is judged again with three times as many simulated logs. This is not necessary when an effect gains
+    more than two standard errors on the held-out part, or when it gains one standard error there and, on the whole log,
+    two and more than chance can. A number that deviates by z standard errors costs a model at least z^2 / 2 nats. An
+    effect that gains less must therefore also be the best one among all effects of the whole robot and formulas. If the
+    filter of the base model loses the robot, effects of the motion are refitted first, then effects of the sensors; the
+    first one that lets the filter follow is added.
     """
     check_arguments(
-        log, model, effects, {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds,
-                              "draws": draws, "workers": workers},
+        log, held_out, model, effects,
+        {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds, "draws": draws,
+         "workers": workers},
         {"joint": joint, "progress": progress, "posterior": posterior}, seed, level,
     )  # fmt: skip
     if posterior and not joint:
@@ -120,12 +125,20 @@ def criticize(
     _check(log)
     checked_logs((log,), model)
     base = model or default_model(log)
+    other = None
+    if held_out is not None:
+        other = held_out.without_truth()
+        check_other(log, other)
+        checked_logs((other,), model)
     with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
         settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
         log = with_estimated_path(log, base, seed=seed)
+        if other is not None:
+            # Formulas that are found on the log may need the path of the other one.
+            other = with_estimated_path(other, base, always=True, seed=seed)
         offered = candidates(log) if effects is None else effects
-        return Loop(base, Search(log, offered, settings)).run(rounds, joint, draws, always=posterior)
+        return Loop(base, Search(log, offered, settings, other)).run(rounds, joint, draws, always=posterior)
 
 
 def _check(log: RobotLog) -> None:

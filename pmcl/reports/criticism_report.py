@@ -59,7 +59,7 @@ def write_criticism_report(
         nothing=as_percentage(criticism.nothing_probability),
         parameters=_parameters(criticism),
         gaps=_gaps(criticism),
-        split=criticism.split,
+        held_out=_held_out_part(criticism),
         alarms=[_alarm_row(stage, alarm) for stage, alarm in alarms],
         raised=lambda row, column: column == _ALARM_COLUMN and alarms[row][1].raised,
         pictures=_pictures(criticism),
@@ -73,6 +73,12 @@ def _subject(criticism: Criticism) -> str:
     log = criticism.log
     length = f"{log.n_steps} rows over {log.times[-1] - log.times[0]:.0f} s, {log.n_readings} readings"
     return f"{log.where}; {length}." if log.where else f"{length}."
+
+
+def _held_out_part(criticism: Criticism) -> str:
+    if criticism.held_out is None:
+        return f"on the held-out part of the log, the rows from {criticism.split} on, which no fit has used"
+    return f"on another log, {criticism.held_out.where} ({criticism.held_out.n_steps} rows), which no fit has used"
 
 
 def _unexplained_row(disagreement: Unexplained, criticism: Criticism) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from pmcl.models.robot_model import default_model
 
 # mypy: disable-error-code="no-untyped-def"
 
-ROWS = 300
+ROWS = 160
 
 
 def gaussian(size, first, last, rng, rows=ROWS):
@@ -56,7 +56,8 @@ def test_probabilities_are_those_of_all_windows_one_by_one():
 
 
 def test_the_distribution_of_an_onset_is_that_of_all_onsets_one_by_one():
-    differences = np.where(np.arange(60) < 35, -0.4, 0.5)[None] + 0.3 * np.random.default_rng(6).standard_normal((1, 60))
+    noise = 0.3 * np.random.default_rng(6).standard_normal((1, 60))
+    differences = np.where(np.arange(60) < 35, -0.4, 0.5)[None] + noise
     posterior = window_posterior(differences)
     assert posterior.onward > 0.8
     assert np.isnan(posterior.last).all()
@@ -65,20 +66,26 @@ def test_the_distribution_of_an_onset_is_that_of_all_onsets_one_by_one():
     assert posterior.points[posterior.first.argmax()] == 35
 
 
-@pytest.mark.parametrize(("first", "last", "kind"), [(120, 300, "onward"), (0, 170, "until"), (90, 200, "between")])
-def test_windows_of_a_shift_are_found_and_a_lasting_shift_is_not_cut(first, last, kind):
+@pytest.mark.parametrize(("first", "last", "kind"), [(70, 160, "onward"), (0, 90, "until"), (50, 110, "between")])
+def test_windows_of_a_shift_are_found(first, last, kind):
     rng = np.random.default_rng(7)
     named, close = 0, 0
-    for _ in range(50):
+    for _ in range(20):
         posterior = window_posterior(gaussian(1.0, first, last, rng))
         named += getattr(posterior, kind) > 0.5
         for distribution, truth in ((posterior.first, first), (posterior.last, last)):
-            middle = posterior.points[np.searchsorted(np.cumsum(np.nan_to_num(distribution)), 0.5) % posterior.points.size]
+            known = not np.isnan(distribution).any()
+            middle = posterior.points[np.searchsorted(np.cumsum(distribution), 0.5)] if known else np.inf
             close += truth in (0, ROWS) or abs(middle - truth) <= 0.05 * ROWS
-    assert named >= 45
-    assert close >= 90
-    lasting = [window_posterior(gaussian(1.0, 0, ROWS, rng)).throughout for _ in range(200)]
-    assert np.mean(np.array(lasting) < 0.05) <= 0.02
+    assert named >= 18
+    assert close >= 36
+
+
+def test_a_lasting_shift_is_not_cut():
+    rng = np.random.default_rng(8)
+    throughout = np.array([window_posterior(gaussian(1.0, 0, ROWS, rng)).throughout for _ in range(100)])
+    assert np.mean(throughout < 0.05) <= 0.02
+    assert np.mean(throughout > 0.5) >= 0.9
 
 
 def test_change_points_of_a_long_log_are_no_more_than_can_be_summed_over():

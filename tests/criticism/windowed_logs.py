@@ -8,6 +8,7 @@ import numpy as np
 
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.sensor import sensor_of
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.sensors.range_beams.sensor import RangeNoise
 from pmcl.simulations import amigobot, landmark_field
@@ -60,12 +61,8 @@ def windowed(place: str, text: str, begin: int, end: int, rows: int, seed: int) 
     if room:
         given = partial(build, beam_poses=amigobot.AMIGOBOT_BEAMS, max_range=5.0, walls=amigobot.AMIGOBOT_ROOM)
         empty = given(ranges=np.zeros((rows, len(amigobot.AMIGOBOT_BEAMS))))
-        ranges = []
-        for model in models:
-            table = model.tables(empty).sensors[0]
-            from pmcl.models.sensor import sensor_of
-
-            ranges.append(sensor_of(table).simulate(table, poses, rng).reading)
+        tables = [model.tables(empty).sensors[0] for model in models]
+        ranges = [sensor_of(table).simulate(table, poses, rng).reading for table in tables]
         return given(ranges=np.where(inside[:, None], ranges[1], ranges[0]))
     positions = plain.landmarks.positions
     seen = landmark_field._seen(positions, poses, 12.0, np.inf)

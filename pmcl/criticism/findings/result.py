@@ -73,7 +73,9 @@ class Criticism:
     log : RobotLog
         The log; with an estimate of its path if the final model has formulas that need one.
     split : int
-        First row of the held-out part.
+        First row of the held-out part; the number of rows of the log if another log is held out.
+    held_out : RobotLog or None
+        The other log that was held out.
     first, last : JudgedFit
         The first and the last model, with the log's tests under each.
     posterior : ArviZ posterior or None
@@ -106,6 +108,7 @@ class Criticism:
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     nothing_probability: float = math.nan
+    held_out: RobotLog | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON file."""

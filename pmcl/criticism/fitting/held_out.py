@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +13,11 @@ from numpy.typing import NDArray
 from pmcl.filtering.not_a_number import parameters_told
 from pmcl.filtering.one_step_ahead import Predictions, pooled_increments
 from pmcl.filtering.particle_filter import make_rng, run_filter
-from pmcl.models.robot_model import BoundModel
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.formula import portable
+from pmcl.models.robot_model import BoundModel, RobotModel
 
-__all__ = ["Gap", "RowScores", "gap_of", "row_scores"]
+__all__ = ["Gap", "RowScores", "bound_to_other", "gap_of", "row_scores"]
 
 Float = NDArray[np.float64]
 
@@ -51,7 +56,15 @@ class RowScores(NamedTuple):
     noise: float
 
 
-def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> RowScores:
+def row_scores(
+    bound: BoundModel,
+    theta: Float,
+    *,
+    particles: int,
+    seed: int,
+    passes: int = 2,
+    others: Sequence[RobotLog] = (),
+) -> RowScores:
     """Return the log predictive density of the readings of each row, mixed from independent filter passes.
 
     The filter runs over the whole log and predicts each row from all rows before it. The caller decides which rows are
@@ -71,6 +84,8 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
         Determines all random numbers.
     passes : int
         Number of passes.
+    others : sequence of RobotLog
+        Further logs of the robot; their rows follow those of the first one.
 
     Returns
     -------
@@ -84,16 +99,34 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
     DensityError
         When a density is not a number.
     """
-    tables, n_steps = bound.tables(theta)[0], bound.lengths[0]
-    with parameters_told(bound, theta):
-        increments = [
-            run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
-            for k in range(passes)
-        ]
-    noise = float("nan")
-    if passes > 1:
-        noise = float(np.sqrt(np.var(increments, axis=0, ddof=1).sum() / passes))
-    return RowScores(pooled_increments(increments), noise)
+    rows, variance = [], 0.0
+    for number, each in enumerate((bound, *(bound_to_other(bound.model, log) for log in others))):
+        tables, n_steps = each.tables(theta)[0], each.lengths[0]
+        with parameters_told(each, theta):
+            increments = [
+                run_filter(tables, n_steps, particles, make_rng(_stream(seed, k, number))).log_increments
+                for k in range(passes)
+            ]
+        rows.append(pooled_increments(increments))
+        variance += float(np.var(increments, axis=0, ddof=1).sum() / passes) if passes > 1 else float("nan")
+    return RowScores(np.concatenate(rows), math.sqrt(variance))
+
+
+def _stream(seed: int, k: int, number: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence((seed, k, number) if number else (seed, k))
+
+
+def bound_to_other(model: RobotModel, log: RobotLog) -> BoundModel:
+    """Return a model bound to another log than the one on which its formulas were found.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The model.
+    log : RobotLog
+        The other log; with an estimate of its path if the model has formulas that need one.
+    """
+    return replace(model, effects=tuple(portable(effect) for effect in model.effects)).bind(log)
 
 
 def gap_of(predictions: Predictions, pit: Float, rows: slice) -> Gap:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from pmcl.filtering.paired_scores import Gain, paired_gain
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.parameters import prior_support
-from pmcl.models.robot_model import RobotModel
+from pmcl.models.robot_model import RobotModel, log_sequence
 
 __all__ = [
     "PRACTICAL", "Trial", "from_null", "occam_factor", "refitted", "scored_anew", "spare_effects", "trial_of_base",
@@ -51,7 +52,7 @@ class Trial:
     fit : Fit
         Its fit on the fit part.
     row_scores : ndarray, shape (T,)
-        Its log score of each row of the whole log [nat].
+        Its log score of each row of the whole log [nat]; then those of a second log that is held out.
     z : float
         Standardised score of its effect.
     on_fit, on_heldout, on_all : Gain
@@ -143,7 +144,7 @@ def try_effect(
     current: Trial,
     effect: Effect,
     z: float,
-    log: RobotLog,
+    logs: RobotLog | Sequence[RobotLog],
     split: int,
     *,
     seed: int,
@@ -160,10 +161,10 @@ def try_effect(
         The additional effect.
     z : float
         Its standardised score; its sign gives the side on which the fit starts.
-    log : RobotLog
-        The log.
+    logs : RobotLog or sequence of RobotLog
+        The log; or the log on which models are fitted and the one that is held out.
     split : int
-        First row of the held-out part.
+        First row of the held-out part: the number of rows of the first log, if there are two.
     seed : int
         Determines all random numbers.
     particles : int
@@ -176,6 +177,7 @@ def try_effect(
     Trial or None
         None when the effect cannot be fitted, because it cannot edit the model's tables or no filter follows.
     """
+    log, *others = log_sequence(logs)
     try:
         held_fixed = {} if effect.tells is None else dict(effect.tells(log))
         free = np.array([parameter.name not in held_fixed for parameter in effect.parameters])
@@ -185,7 +187,9 @@ def try_effect(
         bound = model.bind(log)
         theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
         fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=current.fit.path, effort=effort)
-        scores = row_scores(bound, fitted.theta, particles=particles, seed=seed, passes=effort.passes)
+        scores = row_scores(
+            bound, fitted.theta, particles=particles, seed=seed, passes=effort.passes, others=others
+        )
     except DensityError:
         raise
     except PmclError as error:
@@ -256,7 +260,14 @@ def from_null(fit: Fit, effect: Effect, free: NDArray[np.bool_]) -> float:
 
 
 def refitted(
-    trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int, effort: Effort
+    trial: Trial,
+    current: Trial,
+    logs: RobotLog | Sequence[RobotLog],
+    split: int,
+    *,
+    seed: int,
+    particles: int,
+    effort: Effort,
 ) -> Trial:
     """Continue the fit of a trial, and score it again against the current model.
 
@@ -266,7 +277,7 @@ def refitted(
         The trial.
     current : Trial
         The current model.
-    log, split, seed, particles, effort
+    logs, split, seed, particles, effort
         As for :func:`try_effect`.
 
     Returns
@@ -274,7 +285,7 @@ def refitted(
     Trial
         The trial without any change if the filter loses the robot after the longer fit.
     """
-    bound = trial.model.bind(log)
+    bound = trial.model.bind(log_sequence(logs)[0])
     try:
         before = trial.fit
         fitted = quick_fit(
@@ -285,7 +296,7 @@ def refitted(
             trial, fit=fitted, thorough=effort == THOROUGH, occam=occam_factor(fitted, count),
             from_null=_distance_of(trial, fitted),
         )  # fmt: skip
-        return scored_anew(longer, current, log, split, seed=seed, particles=particles)
+        return scored_anew(longer, current, logs, split, seed=seed, particles=particles)
     except DensityError:
         raise
     except PmclError as error:
@@ -302,7 +313,9 @@ def _distance_of(trial: Trial, fit: Fit) -> float:
     return from_null(fit, trial.effect, free)
 
 
-def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed: int, particles: int) -> Trial:
+def scored_anew(
+    trial: Trial, current: Trial, logs: RobotLog | Sequence[RobotLog], split: int, *, seed: int, particles: int
+) -> Trial:
     """Score the rows of a trial with its present fit and another number of particles.
 
     Parameters
@@ -311,10 +324,11 @@ def scored_anew(trial: Trial, current: Trial, log: RobotLog, split: int, *, seed
         The trial.
     current : Trial
         The current model, scored with the same number of particles; it may be the trial itself.
-    log, split, seed, particles
+    logs, split, seed, particles
         As for :func:`try_effect`.
     """
-    scores = row_scores(trial.model.bind(log), trial.fit.theta, particles=particles, seed=seed)
+    log, *others = log_sequence(logs)
+    scores = row_scores(trial.model.bind(log), trial.fit.theta, particles=particles, seed=seed, others=others)
     rows = scores.rows
     gains = _gains(rows, rows if trial is current else current.row_scores, split)
     return replace(trial, row_scores=rows, noise=scores.noise, particles=particles, **gains._asdict())
@@ -326,7 +340,7 @@ def _gains(new: Float, old: Float, split: int) -> _Gains:
 
 def trial_of_base(
     model: RobotModel,
-    log: RobotLog,
+    logs: RobotLog | Sequence[RobotLog],
     split: int,
     *,
     seed: int,
@@ -341,7 +355,7 @@ def trial_of_base(
     ----------
     model : RobotModel
         The model.
-    log, split, seed, particles
+    logs, split, seed, particles
         As for :func:`try_effect`.
     theta : ndarray, shape (d,)
         Parameters of a fit of the whole log, from which this one starts.
@@ -350,9 +364,10 @@ def trial_of_base(
     draws : ndarray, shape (N, d), optional
         Draws of that fit.
     """
+    log, *others = log_sequence(logs)
     bound = model.bind(log)
     fitted = quick_fit(bound.restricted(split), seed, theta=theta, path=path[:split], draws=draws)
-    scores = row_scores(bound, fitted.theta, particles=particles, seed=seed)
+    scores = row_scores(bound, fitted.theta, particles=particles, seed=seed, others=others)
     no_gain = Gain(0.0, 0.0)
     return Trial(
         None, model, fitted, scores.rows, 0.0, no_gain, no_gain, no_gain, particles, noise=scores.noise
@@ -373,7 +388,13 @@ def _start_values(effect: Effect, z: float) -> Float:
 
 
 def spare_effects(
-    accepted: Trial, n_base: int, log: RobotLog, split: int, *, seed: int, particles: int
+    accepted: Trial,
+    n_base: int,
+    logs: RobotLog | Sequence[RobotLog],
+    split: int,
+    *,
+    seed: int,
+    particles: int,
 ) -> tuple[Trial, list[int]]:
     """Remove each effect that was added before the newest one and that held-out rows no longer need.
 
@@ -383,7 +404,7 @@ def spare_effects(
         The model with the newest effect last.
     n_base : int
         Number of effects of the base model, which stay.
-    log, split, seed, particles
+    logs, split, seed, particles
         As for :func:`try_effect`.
 
     Returns
@@ -409,7 +430,7 @@ def spare_effects(
         try:
             theta = np.delete(trial.fit.theta, np.s_[begin : begin + counts[position]])
             without = trial_of_base(
-                model, log, split, seed=seed, particles=particles, theta=theta, path=trial.fit.path
+                model, logs, split, seed=seed, particles=particles, theta=theta, path=trial.fit.path
             )
         except DensityError:
             raise

@@ -146,7 +146,7 @@ def window_posterior(differences: Float) -> WindowPosterior:
     sums = np.concatenate([np.zeros((m, 1)), np.cumsum(differences, axis=1)], axis=1)
     whole, before = sums[:, -1], sums[:, points]
     k = points.size
-    pairs = np.subtract.outer(points, points).T >= least  # first, last
+    pairs = points - points[:, None] >= least  # of the first row of the window and the first row after it
     between = np.full((m, k, k), -np.inf)
     between[:, pairs] = (before[:, None, :] - before[:, :, None])[:, pairs]
     kinds = [whole[:, None] - before, before, between]
@@ -251,7 +251,8 @@ def _with_multiple(bound: BoundModel, theta: Float, strengths: Mapping[int, floa
     for i, null in strengths.items():
         low, high = prior_support(bound.parameters[i].prior)
         margin = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
-        values[i] = null if multiple == 0.0 else np.clip(null + multiple * (theta[i] - null), low + margin, high - margin)
+        moved = np.clip(null + multiple * (theta[i] - null), low + margin, high - margin)
+        values[i] = null if multiple == 0.0 else moved
     return values
 
 

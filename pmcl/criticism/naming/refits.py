@@ -34,11 +34,16 @@ class Refits:
     settings : Settings
         Settings of the run; the numbers of particles may grow.
     split : int
-        First row of the held-out part.
+        First row of the held-out part: the number of rows of the log, if another one is held out.
+    logs : tuple of RobotLog
+        The log, and the one that is held out if there is one.
     """
 
-    def __init__(self, log: RobotLog, settings: Settings, split: int) -> None:
+    def __init__(
+        self, log: RobotLog, settings: Settings, split: int, held_out: RobotLog | None = None
+    ) -> None:
         self.log, self.settings, self.split = log, settings, split
+        self.logs = (log,) if held_out is None else (log, held_out)
         # By effect, number of particles and first row of the held-out part.
         self._known: dict[tuple[Any, int, int], Trial] = {}
 
@@ -54,7 +59,7 @@ class Refits:
     def base_trial(self, fit: Fit) -> Trial:
         """Fit the model of a fit of the whole log on the fit part, and score all rows."""
         return trial_of_base(
-            fit.bound.model, self.log, self.split, seed=self.seed, particles=self.settings.comparing,
+            fit.bound.model, self.logs, self.split, seed=self.seed, particles=self.settings.comparing,
             theta=fit.theta, path=fit.path, draws=fit.draws,
         )  # fmt: skip
 
@@ -66,7 +71,7 @@ class Refits:
 
     def _scored_anew(self, trial: Trial, current: Trial) -> Trial:
         return scored_anew(
-            trial, current, self.log, self.split, seed=self.seed, particles=self.settings.comparing
+            trial, current, self.logs, self.split, seed=self.seed, particles=self.settings.comparing
         )
 
     def refit(
@@ -111,7 +116,7 @@ class Refits:
         def fit(k: int, effort: Effort, particles: int) -> Trial | None:
             effect, z = new[k]
             return try_effect(
-                current, effect, z, self.log, self.split, seed=self.seed, particles=particles, effort=effort
+                current, effect, z, self.logs, self.split, seed=self.seed, particles=particles, effort=effort
             )
 
         def glance_at(k: int) -> Trial | None:
@@ -125,7 +130,7 @@ class Refits:
             if not any(glance is trial for trial in going_on):
                 return glance
             return refitted(
-                glance, current, self.log, self.split, seed=self.seed, particles=particles, effort=BRIEF
+                glance, current, self.logs, self.split, seed=self.seed, particles=particles, effort=BRIEF
             )
 
         alone = len(new) + len(rivals) < 2
@@ -177,10 +182,10 @@ class Refits:
             shorter = self._known.get(key)
             if shorter is None:
                 return try_effect(
-                    current, effect, z, self.log, self.split, seed=self.seed, particles=particles, effort=THOROUGH
+                    current, effect, z, self.logs, self.split, seed=self.seed, particles=particles, effort=THOROUGH
                 )
             return refitted(
-                replace(shorter, effect=effect, z=z), current, self.log, self.split, seed=self.seed,
+                replace(shorter, effect=effect, z=z), current, self.logs, self.split, seed=self.seed,
                 particles=particles, effort=THOROUGH,
             )  # fmt: skip
 
@@ -218,7 +223,7 @@ class Refits:
 
         def fit_thoroughly(k: int) -> Trial:
             return refitted(
-                leading[k], current, self.log, self.split, seed=self.seed, particles=particles, effort=THOROUGH
+                leading[k], current, self.logs, self.split, seed=self.seed, particles=particles, effort=THOROUGH
             )
 
         thorough = self.settings.mapped(

@@ -81,6 +81,8 @@ class Search:
     ----------
     log : RobotLog
         The log.
+    held_out : RobotLog or None
+        Another log, which is held out as a whole.
     offered : tuple of Effect
         Candidates of the catalogue.
     refits : Refits
@@ -93,11 +95,20 @@ class Search:
         Formulas that the last search compared.
     """
 
-    def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
-        self.log, self.offered = log, tuple(offered)
-        split = int(FIT_SHARE * log.n_steps)
-        self.refits = Refits(log, settings, split)
+    def __init__(
+        self, log: RobotLog, offered: Sequence[Effect], settings: Settings, held_out: RobotLog | None = None
+    ) -> None:
+        self.log, self.held_out, self.offered = log, held_out, tuple(offered)
+        split = int(FIT_SHARE * log.n_steps) if held_out is None else log.n_steps
+        self.refits = Refits(log, settings, split, held_out)
         parts = [_readings(log, rows) for rows in (slice(0, split), slice(split, None))]
+        if held_out is not None:
+            parts[1] = _readings(held_out, slice(None))
+            if min(parts) < _LEAST_READINGS:
+                raise CriticismError(
+                    f"expected at least {_LEAST_READINGS} readings in each log, but got {parts[0]} in {log.where} and "
+                    f"{parts[1]} in {held_out.where}; record more"
+                )
         if min(parts) < _LEAST_READINGS:
             raise CriticismError(
                 f"{log.where}: expected at least {_LEAST_READINGS} readings in the first 60 % of the log and in the "
@@ -327,7 +338,7 @@ class Search:
         effect a candidate, or when its score on the fit part is not above `least_z`.
         """
         assert best.effect is not None
-        moved = self.split != int(FIT_SHARE * self.log.n_steps)
+        moved = self.held_out is None and self.split != int(FIT_SHARE * self.log.n_steps)
         by_all_rows = any(same_instance(best.effect, effect) for effect in self._only_by_all_rows)
         return replace(
             found_effect(best, twins, judgement, directions),

@@ -1,0 +1,105 @@
+"""A second log as the held-out part: models are fitted to the whole of the first, and confirmed on the second."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hidden_logs import hidden
+
+from pmcl.criticism.fitting.held_out import row_scores
+from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
+from pmcl.criticism.fitting.trials import trial_of_base, try_effect
+from pmcl.criticism.workflow import criticize
+from pmcl.errors import CriticismError, LogError
+from pmcl.models.effects.selection import effect_named
+from pmcl.models.robot_model import default_model
+from pmcl.simulations.landmark_field import simulate_landmark_field
+
+# mypy: disable-error-code="no-untyped-def"
+
+
+def field(seed, text="bearing-bias=large", rows=120):
+    given = (text,) if text else ()
+    return simulate_landmark_field(rows, seed, bearings=True, effects=given, hide_effects=True).without_truth()
+
+
+@pytest.fixture(scope="module")
+def base():
+    log = field(1)
+    bound = default_model(log).bind(log)
+    return log, quick_fit(bound, 1, effort=BRIEF)
+
+
+def test_rows_of_a_second_log_follow_those_of_the_first(base):
+    _, fit = base
+    other = field(2, rows=90)
+    alone = row_scores(fit.bound, fit.theta, particles=300, seed=5)
+    both = row_scores(fit.bound, fit.theta, particles=300, seed=5, others=(other,))
+    assert both.rows.shape == (210,)
+    np.testing.assert_array_equal(both.rows[:120], alone.rows)
+    its_own = row_scores(fit.bound.model.bind(other), fit.theta, particles=300, seed=6)
+    noise = np.hypot(its_own.noise, np.sqrt(both.noise**2 - alone.noise**2))
+    assert abs(both.rows[120:].sum() - its_own.rows.sum()) < 5.0 * noise
+    assert noise < 10.0
+
+
+@pytest.mark.parametrize(("text", "confirmed"), [("bearing-bias=large", True), ("", False)])
+def test_the_second_log_confirms_an_effect_or_refuses_it(base, text, confirmed):
+    log, fit = base
+    logs = (log, field(2, text))
+    settings = {"seed": 3, "particles": 300}
+    current = trial_of_base(
+        fit.bound.model, logs, log.n_steps, theta=fit.theta, path=fit.path, draws=fit.draws, **settings
+    )
+    trial = try_effect(current, effect_named("bearing-bias", log), 1.0, logs, log.n_steps, **settings)
+    assert trial.fit.path.shape[0] == log.n_steps, "the whole first log is the fit part"
+    assert trial.on_fit.significant
+    assert trial.on_fit.total > 20.0
+    assert trial.confirmed is confirmed
+    difference = trial.row_scores - current.row_scores
+    assert trial.on_heldout.total == pytest.approx(difference[log.n_steps :].sum())
+    assert (trial.on_heldout.total > 20.0) is confirmed
+
+
+def test_what_cannot_confirm_is_refused():
+    log = field(1)
+    with pytest.raises(CriticismError, match="expected another log to be held out"):
+        criticize(log, held_out=field(1))
+    with pytest.raises(CriticismError, match="at least 30 rows of a log that is held out, but got 20"):
+        criticize(log, held_out=field(2, rows=20))
+    sightless = simulate_landmark_field(120, 2).without_truth()
+    with pytest.raises(CriticismError, match=r"expected the readings of .*landmark_bearing.*same robot"):
+        criticize(log, held_out=sightless)
+    more = simulate_landmark_field(120, 2, bearings=True, n_landmarks=9).without_truth()
+    with pytest.raises(CriticismError, match=r"expected the channels and walls of .* 8 landmarks, but got 9 landmarks"):
+        criticize(log, held_out=more)
+    with pytest.raises(LogError, match="held_out"):
+        criticize(log, held_out="other.nc")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("text", "found"), [("bearing-bias=large", True), ("", False)])
+def test_the_critic_confirms_on_the_second_log(text, found):
+    log, other = field(1, rows=160), field(2, text, rows=140)
+    result = criticize(log, held_out=other, simulations=20, joint=False, rounds=1, seed=1, workers=1)
+    assert result.split == 160
+    assert result.held_out.n_steps == 140
+    assert [effect.name for effect in result.effects] == (["bearing-bias"] if found else [])
+    assert any("gains are confirmed and gaps shown on" in note for note in result.notes)
+    assert {"log", "held_out"} <= set(result.settings)
+    if found:
+        assert not result.effects[0].chosen_on_all_rows
+        assert result.steps[-1].gap.log_score_per_reading > result.steps[0].gap.log_score_per_reading
+    else:
+        assert result.verdict == "unknown effect", "the first log does have something, which the second denies"
+
+
+@pytest.mark.slow
+def test_a_formula_is_confirmed_along_the_path_of_the_second_log():
+    text = "range-bias=0.1"
+    log, other = hidden(text, 160.0, 4), hidden(text, 120.0, 5)
+    formulas_only = criticize(
+        log, held_out=other, effects=(), simulations=20, joint=False, rounds=1, seed=1, workers=1
+    )
+    assert formulas_only.held_out.estimated("path").shape == (120, 3)
+    assert np.isfinite(formulas_only.steps[0].gap.log_score_per_reading)
