@@ -379,6 +379,7 @@ class Loop:
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)
         settings: dict[str, Any] = vars(self.settings) | {"split": self.search.split, "log": self.log.fingerprint()}
+        settings["statistics"] = [statistic.name for statistic in self.settings.statistics]
         if self.search.held_out is not None:
             settings["held_out"] = self.search.held_out.fingerprint()
         del settings["workers"], settings["reporter"]  # the result does not depend on them

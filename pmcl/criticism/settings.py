@@ -26,6 +26,8 @@ class Settings:
         As in :func:`pmcl.criticism.workflow.criticize`.
     finer : int
         Comparisons of log scores use this many times the particles of a scored pass.
+    statistics : tuple of :class:`~pmcl.criticism.scoring.statistics.Statistic`
+        Statistics of the user's own, which become alarms.
     reporter : Progress
         Reports how far the run has come.
     """
@@ -38,6 +40,7 @@ class Settings:
     workers: int
     progress: bool
     finer: int = FINER
+    statistics: tuple[Any, ...] = ()
     reporter: Progress = field(default_factory=Progress, compare=False, repr=False)
 
     @property

@@ -13,6 +13,7 @@ from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.loop import Loop
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.progress import Progress
+from pmcl.criticism.scoring.statistics import Statistic, checked_statistics, statistics_in_use
 from pmcl.criticism.settings import Settings
 from pmcl.errors import CriticismError
 from pmcl.filtering.estimated_path import with_estimated_path
@@ -36,6 +37,7 @@ def criticize(
     *,
     held_out: RobotLog | None = None,
     effects: Sequence[Effect] | None = None,
+    statistics: Sequence[Statistic] | None = None,
     particles: int = defaults.CRITICISM_PARTICLES,
     seed: int = 0,
     level: float = defaults.FALSE_ALARM_LEVEL,
@@ -61,6 +63,9 @@ def criticize(
         confirmed on this one, and it gives the gaps. When left out, the last part of `log` serves for that.
     effects : sequence of Effect, optional
         Candidates; when left out, all effects of the catalogue at all places that the log has.
+    statistics : sequence of Statistic, optional
+        Statistics of your own, which become alarms; when left out, those in use
+        (:func:`pmcl.criticism.scoring.statistics.use_statistics`).
     particles : int
         Particles of scored passes; comparisons of log scores use four times as many.
     seed : int
@@ -116,6 +121,7 @@ def criticize(
          "workers": workers},
         {"joint": joint, "progress": progress, "posterior": posterior}, seed, level,
     )  # fmt: skip
+    own_statistics = statistics_in_use() if statistics is None else checked_statistics(statistics)
     if posterior and not joint:
         raise CriticismError(
             "expected full chains for a posterior, but joint=False switches them off; leave joint at True, or ask "
@@ -132,7 +138,10 @@ def criticize(
         checked_logs((other,), model)
     with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
-        settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
+        settings = Settings(
+            particles, seed, level, simulations, paths, threads, progress, reporter=reporter,
+            statistics=own_statistics,
+        )  # fmt: skip
         log = with_estimated_path(log, base, seed=seed)
         if other is not None:
             # Formulas that are found on the log may need the path of the other one.

@@ -124,12 +124,12 @@ class Unexplained:
     Attributes
     ----------
     channel : str
-        Variable of the log, or the name of a score.
+        Variable of the log, or the name of a score or of a statistic of the user's own.
     beams : tuple of int
         Beams or landmarks; empty for all.
     covariate, moment : str
         The covariate that the disagreement depends on, and whether readings are biased ("mean") or have another spread
-        than predicted ("spread").
+        than predicted ("spread"); "statistic" for a statistic of the user's own.
     interval : tuple of float
         Values of the covariate, in its unit, between which the disagreement is worst.
     time : tuple of int

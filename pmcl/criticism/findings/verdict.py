@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pmcl.criticism.findings.parts import Alternative, Estimate, FoundEffect, Step, Unexplained
 from pmcl.criticism.fitting.when import Moment
 from pmcl.criticism.judging.alarms import Judgement
+from pmcl.criticism.scoring.statistics import OWN
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
@@ -128,7 +129,8 @@ def sentence_of(
     if verdict == UNKNOWN:
         worst = unexplained[0]
         kind = "landmark" if worst.channel.startswith("landmark") else "beam"
-        where = worst.channel if worst.channel in log.dataset else f"the score of {worst.channel}"
+        what = "the statistic" if worst.moment == OWN else "the score of"
+        where = worst.channel if worst.channel in log.dataset else f"{what} {worst.channel}"
         if len(worst.beams) > _MOST_LISTED:
             where += f" of {len(worst.beams)} {kind}s"
         elif worst.beams:
