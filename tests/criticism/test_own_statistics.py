@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from windowed_logs import unwrapped
 
 from pmcl.cli.commands import pmcl as application
 from pmcl.criticism import Statistic
@@ -30,33 +31,33 @@ from pmcl.models.robot_model import default_model
 NOISE = [0.03, 0.02, 0.04, 0.05]
 
 
-def judged(correlation, statistics=(own_statistic.PAIRED_BEAMS,)):
+def judged(tilt, statistics=(own_statistic.ARM_LEANS,)):
     """A log judged without candidates; no search follows."""
-    log = own_statistic.record(correlation, duration=150.0)
+    log = own_statistic.record(tilt, duration=150.0)
     bound = default_model(log).bind(log.without_truth())
-    fit = quick_fit(bound, 1, theta=np.array(NOISE), path=np.array(log.true_poses), effort=BRIEF)
-    settings = Settings(100, 0, 0.05, 24, 2, 1, False, statistics=statistics)
+    fit = quick_fit(bound, 1, theta=np.array(NOISE), path=unwrapped(log.true_poses), effort=BRIEF)
+    settings = Settings(500, 0, 0.05, 24, 2, 1, False, statistics=statistics)
     return judge_log(bound.logs[0], fit, (), 90, settings)
 
 
-def test_beams_that_err_together_are_found_by_the_statistic_alone():
-    with_statistic = judged(0.8)
+def test_what_only_its_user_knows_of_is_found_by_the_statistic_alone():
+    with_statistic = judged(0.03)
     alarms = {alarm.family: alarm for alarm in with_statistic.judgement.alarms}
-    own = alarms["paired-beams"]
+    own = alarms["arm-leans"]
     assert own.raised
     assert own.p_value < 1e-4
     assert own.z > 4.0
-    assert [alarm.family for alarm in with_statistic.judgement.raised] == ["paired-beams"]
+    assert [alarm.family for alarm in with_statistic.judgement.raised] == ["arm-leans"]
     place = locate(own, with_statistic.scored, {})
-    assert place.channel == "paired-beams"
+    assert place.channel == "arm-leans"
     assert place.moment == module.OWN
     assert 0 <= place.time[0] < place.time[1] <= 149
 
 
-def test_beams_that_err_by_themselves_raise_no_alarm():
+def test_an_arm_that_tilts_nothing_raises_no_alarm():
     judgement = judged(0.0).judgement
     own = judgement.alarms[-1]
-    assert own.family == "paired-beams"
+    assert own.family == "arm-leans"
     assert own.p_value > 0.01
     assert not own.raised
     # Holm's correction counts the statistic: one family more than without it.
@@ -101,21 +102,21 @@ def test_names_are_checked():
     with pytest.raises(CriticismError, match="expected a name in lower case with hyphens, other than uniformity"):
         Statistic("score", "", len)
     with pytest.raises(CriticismError, match="in lower case"):
-        Statistic("Paired Beams", "", len)
+        Statistic("Arm Leans", "", len)
     with pytest.raises(CriticismError, match="expected per='reading' or per='row', but got 'log'"):
         Statistic("odd", "", len, per="log")
-    with pytest.raises(CriticismError, match="two are called paired-beams"):
-        checked_statistics([own_statistic.PAIRED_BEAMS, own_statistic.PAIRED_BEAMS])
+    with pytest.raises(CriticismError, match="two are called arm-leans"):
+        checked_statistics([own_statistic.ARM_LEANS, own_statistic.ARM_LEANS])
     with pytest.raises(CriticismError, match="each of statistics"):
         checked_statistics([len])
 
 
 def test_statistics_are_in_use_while_a_block_lasts():
-    with use_statistics([own_statistic.PAIRED_BEAMS]):
-        assert statistics_in_use() == (own_statistic.PAIRED_BEAMS,)
-        with pytest.raises(CriticismError, match="two are called"), use_statistics([own_statistic.PAIRED_BEAMS]):
+    with use_statistics([own_statistic.ARM_LEANS]):
+        assert statistics_in_use() == (own_statistic.ARM_LEANS,)
+        with pytest.raises(CriticismError, match="two are called"), use_statistics([own_statistic.ARM_LEANS]):
             pass
-        assert statistics_in_use() == (own_statistic.PAIRED_BEAMS,)
+        assert statistics_in_use() == (own_statistic.ARM_LEANS,)
     assert statistics_in_use() == ()
 
 
@@ -125,7 +126,7 @@ def test_a_file_gives_its_statistics_and_its_mistakes_are_told_with_the_line(tmp
     good, wrong = tmp_path / "own_statistic.py", tmp_path / "wrong.py"
     good.write_text(example_text("own_statistic"), encoding="utf-8")
     (statistic,) = module.statistics_in(run_file(good), good)
-    assert statistic.name == "paired-beams"
+    assert statistic.name == "arm-leans"
     wrong.write_text("from pmcl.criticism import Statistic\nODD = Statistic('odd', '', lambda given: given.nothing)\n")
     (statistic,) = module.statistics_in(run_file(wrong), wrong)
     with pytest.raises(ModelError, match=r"wrong\.py, line 2: .*AttributeError"):

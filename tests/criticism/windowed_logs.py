@@ -26,6 +26,11 @@ SIGHTS = {
 }  # fmt: skip
 
 
+def unwrapped(poses):
+    """Return poses (T, 3) with headings that do not jump, as paths have them."""
+    return np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+
+
 def windowed(place: str, text: str, begin: int, end: int, rows: int, seed: int) -> RobotLog:
     """Simulate an effect that acts in the rows begin <= t < end, in the "room" of the Amigobot or in the "field".
 

@@ -117,8 +117,8 @@ def test_every_example_is_run():
 
 
 @pytest.mark.slow
-def test_the_statistic_of_the_example_tells_which_beams_err_together(capsys):
+def test_the_statistic_of_the_example_tells_which_ranges_are_off(capsys):
     importlib.import_module("pmcl.examples.own_statistic").main()
-    alone, together = (float(p) for p in re.findall(r"p = ([\d.e+-]+);", capsys.readouterr().out))
-    assert alone > 0.01
-    assert together < 1e-4
+    steady, tilted = (float(p) for p in re.findall(r"p = ([\d.e+-]+);", capsys.readouterr().out))
+    assert steady > 0.01
+    assert tilted < 1e-4

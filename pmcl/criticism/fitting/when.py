@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +70,7 @@ class Moment(NamedTuple):
     time : float
         Median of its posterior distribution [s].
     low, high : float
-        It lies between these with a probability of 90 % [s].
+        It lies between these with a probability of 90 %, and so do two estimates with different strengths [s].
     """
 
     time: float
@@ -217,7 +217,7 @@ def acting(fit: Fit, effect: Effect, *, particles: int, seed: int) -> Acting | N
         for parameter, mean, sd in zip(inside.bound.parameters, inside.theta, inside.std, strict=True)
         if parameter.name in names
     }
-    return _as_times(better, fit.bound, values)
+    return _with_wider_intervals(_as_times(better, fit.bound, values), _as_times(found, fit.bound, {}))
 
 
 def _positions(bound: BoundModel, effect: Effect) -> dict[int, float]:
@@ -285,6 +285,21 @@ def _fit_inside(fit: Fit, first: int, last: int, *, seed: int) -> Fit | None:
         first, last, start_mean=fit.path[first, :3], start_std=2.0 * fit.path_std[first, :3] + 1e-3
     )
     return quick_fit(model.bind(piece), seed, theta=fit.theta, path=fit.path[first:last], effort=BRIEF)
+
+
+def _with_wider_intervals(acts: Acting, first: Acting) -> Acting:
+    """Return a window whose intervals hold those of a first estimate, too, where that has the same ends.
+
+    The two differ where the pose follows the effect: a filter without an effect of the motion lags behind at the end of
+    it, and the more so the larger the effect is. Either distribution alone says nothing of that.
+    """
+
+    def wider(moment: Moment | None, other: Moment | None) -> Moment | None:
+        if moment is None or other is None:
+            return moment
+        return moment._replace(low=min(moment.low, other.low), high=max(moment.high, other.high))
+
+    return replace(acts, begin=wider(acts.begin, first.begin), end=wider(acts.end, first.end))
 
 
 def _as_times(found: WindowPosterior, bound: BoundModel, values: Mapping[str, tuple[float, float]]) -> Acting:

@@ -265,8 +265,9 @@ def statistic_features(statistics: Sequence[Statistic], residuals: Residuals) ->
 
 def _terms(statistic: Statistic, residuals: Residuals) -> Float:
     count = residuals.n_rows if statistic.per == "row" else residuals.row.size
+    values = statistic.of(residuals)
     try:
-        terms = np.array(statistic.of(residuals), dtype=float)
+        terms = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
         raise CriticismError(
             f"statistic {statistic.name}: expected {count} numbers, but got {' '.join(str(error).split())}; return an "
