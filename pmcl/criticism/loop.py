@@ -337,7 +337,7 @@ class Loop:
         seed = stream_seed(self.settings.seed, "windows of effects")
 
         def find(k: int) -> Acting | None:
-            return acting(fit, added[k], particles=self.settings.comparing, seed=seed)
+            return acting(fit, added[k], particles=self.settings.particles, seed=seed)
 
         return self.settings.mapped(find, "windows of effects", [effect.name for effect in added])
 

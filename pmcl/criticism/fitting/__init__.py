@@ -2,5 +2,6 @@
 
 Reading order: :mod:`~pmcl.criticism.fitting.quick_fit` (one short chain), :mod:`~pmcl.criticism.fitting.following`
 (whether the filter follows the robot), :mod:`~pmcl.criticism.fitting.held_out` (log scores and gains),
-:mod:`~pmcl.criticism.fitting.trials` (one candidate effect refitted). The trials go to :mod:`pmcl.criticism.naming`.
+:mod:`~pmcl.criticism.fitting.trials` (one candidate effect refitted), :mod:`~pmcl.criticism.fitting.when` (when a
+found effect acts). The trials go to :mod:`pmcl.criticism.naming`.
 """
