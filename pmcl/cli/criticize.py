@@ -57,6 +57,13 @@ __all__ = ["criticize"]
     metavar="FILE.toml",
     help="Model file of the model to criticise; without it the usual model of the log.",
 )
+@click.option(
+    "--held-out",
+    "held_out_file",
+    metavar="OTHER.nc",
+    help="Another log of the robot, on which gains and gaps are shown, and where an effect gains nothing. Without it "
+    "the last part of LOG.nc is held out.",
+)
 @effects_option()
 @click.option(
     "--particles", type=click.IntRange(min=50), default=defaults.CRITICISM_PARTICLES, show_default=True,
@@ -85,6 +92,7 @@ def criticize(
     better_posterior: Path | None,
     map_file: str | None,
     model_file: str | None,
+    held_out_file: str | None,
     no_progress: bool,
     joint: bool,
     **settings: Any,
@@ -92,7 +100,7 @@ def criticize(
     """Find where model and log disagree, name the missing effect, add it, and show the gap shrink."""
     outputs = [file for file in (output, json_file, better_model, better_posterior) if file is not None]
     for file in outputs:
-        protect_inputs(ctx, file, [path for path in (log, map_file, model_file) if path])
+        protect_inputs(ctx, file, [path for path in (log, map_file, model_file, held_out_file) if path])
     if len({file.resolve() for file in outputs}) < len(outputs):
         raise click.UsageError("expected different files for the outputs, but two have the same name: rename one", ctx)
     if better_posterior is not None and not joint:
@@ -107,9 +115,11 @@ def criticize(
 
     robot_log = RobotLog.read(log, map_file)
     model = read_model(model_file, robot_log) if model_file is not None else None
+    held_out = RobotLog.read(held_out_file, map_file) if held_out_file is not None else None
     found = run(
-        robot_log, model, joint=joint, posterior=better_posterior is not None, progress=not no_progress, **settings
-    )
+        robot_log, model, held_out=held_out, joint=joint, posterior=better_posterior is not None,
+        progress=not no_progress, **settings,
+    )  # fmt: skip
     commands = _next_commands(log, output, better_model, better_posterior, map_file)
     write_criticism_report(found, output, commands)
     if json_file is not None:

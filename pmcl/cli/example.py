@@ -17,7 +17,8 @@ __all__ = ["example"]
 def example(name: str | None, output: Path | None) -> None:
     """List the examples, or print or copy the example NAME.
 
-    Each is a short Python file that runs as it is: data of your own robot, an effect of your own, a sensor of your own.
+    Each is a short Python file that runs as it is: data of your own robot, an effect, a sensor, a statistic of your
+    own.
     """
     from pmcl.examples import example_names, example_text
 
@@ -25,7 +26,7 @@ def example(name: str | None, output: Path | None) -> None:
         if output is not None:
             raise click.UsageError("expected the name of an example with -o, but got none; 'pmcl example' lists them")
         for known, summary in example_names().items():
-            click.echo(f"{known:<12} {summary}")
+            click.echo(f"{known:<14} {summary}")
         return
     text = example_text(name)
     if output is None:

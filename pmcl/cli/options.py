@@ -94,17 +94,27 @@ def effects_option() -> Callable[[Command], Command]:
         expose_value=False,
         is_eager=True,
         callback=_use_effects,
-        help="Python file with effects of your own, which then count as known (may be repeated); "
-        "'pmcl example own_effect' prints one.",
+        help="Python file with effects of your own, which then count as known, and statistics of your own, which "
+        "criticize tests (may be repeated); 'pmcl example own_effect' and 'own_statistic' print one.",
     )
 
 
 def _use_effects(ctx: click.Context, param: click.Parameter, paths: tuple[str, ...]) -> None:
     if paths:
-        from pmcl.models.effects.registry import read_effects, use_effects
+        from pmcl.criticism.scoring.statistics import statistics_in, use_statistics
+        from pmcl.errors import ModelError
+        from pmcl.models.effects.registry import effects_in, run_file, use_effects
 
-        for path in paths:
-            ctx.with_resource(use_effects(read_effects(path)))
+        for path in map(Path, paths):
+            module = run_file(path)
+            effects, statistics = effects_in(module, path), statistics_in(module, path)
+            if not effects and not statistics:
+                raise ModelError(
+                    f"{path}: expected at least one pmcl.models.effects.Effect or pmcl.criticism.Statistic, but the "
+                    "file defines none; 'pmcl example own_effect' and 'pmcl example own_statistic' print some"
+                )
+            ctx.with_resource(use_effects(effects))
+            ctx.with_resource(use_statistics(statistics))
 
 
 def map_option() -> Callable[[Command], Command]:

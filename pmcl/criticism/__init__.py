@@ -26,15 +26,20 @@ from pmcl.lazy import lazy_names
 
 if TYPE_CHECKING:
     from pmcl.criticism.findings.result import Criticism
+    from pmcl.criticism.scoring.statistics import Residuals, Statistic
     from pmcl.criticism.workflow import criticize
 
 __all__ = [
     "Criticism",
+    "Residuals",
+    "Statistic",
     "criticize",
 ]
 
 _HOMES = {
     "Criticism": "pmcl.criticism.findings.result",
+    "Residuals": "pmcl.criticism.scoring.statistics",
+    "Statistic": "pmcl.criticism.scoring.statistics",
     "criticize": "pmcl.criticism.workflow",
 }
 

@@ -18,15 +18,17 @@ from pmcl.criticism.findings.assemble import (
     found_effect,
     unexplained_of,
     with_estimates_of,
+    with_window,
 )
 from pmcl.criticism.findings.parts import FoundEffect, Step, Unexplained
 from pmcl.criticism.findings.result import Criticism, JudgedFit
 from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
-from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out
+from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out, predicted_log
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.spare_effects import evidence_between, without_spare_effects
 from pmcl.criticism.fitting.trials import Trial, trial_of_base
+from pmcl.criticism.fitting.when import Acting, acting
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.lost_robot import Recovery
 from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
@@ -36,6 +38,8 @@ from pmcl.errors import FilterError, SamplingError
 from pmcl.filtering.ahead import compile_for_criticism
 from pmcl.filtering.estimated_path import with_estimates
 from pmcl.filtering.paired_scores import Gain, paired_gain
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import path_formulas, portable
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
@@ -81,6 +85,8 @@ class Loop:
         Why these are not the model and the log that were asked for.
     notes : sequence of str
         Notes with which the result begins.
+    other : RobotLog, optional
+        Another log of the robot, on which gaps are shown instead of on the last part of the log.
 
     Attributes
     ----------
@@ -99,15 +105,25 @@ class Loop:
     """
 
     def __init__(
-        self, model: RobotModel, search: Search, loss: Loss | None = None, notes: Sequence[str] = ()
+        self,
+        model: RobotModel,
+        search: Search,
+        loss: Loss | None = None,
+        notes: Sequence[str] = (),
+        other: RobotLog | None = None,
     ) -> None:
-        self.base, self.search, self.log, self.loss = model, search, search.log, loss
+        self.base, self.search, self.log, self.loss, self.other = model, search, search.log, loss, other
         self.notes = list(notes)
         self.steps: list[Step] = []
         self.found: list[FoundEffect] = []
-        self.split = round((1.0 - HELD_OUT_SHARE) * self.log.n_steps)
+        self.split = self.log.n_steps if other is not None else round((1.0 - HELD_OUT_SHARE) * self.log.n_steps)
         self.held_out: HeldOut | None = None
         self.nothing_probability = np.nan
+        if other is not None:
+            self.notes.append(
+                f"models are fitted to {self.log.where}; gains and gaps are shown on {other.where}, which neither a "
+                "fit nor the choice of a name has used"
+            )
 
     @property
     def settings(self) -> Settings:
@@ -245,7 +261,16 @@ class Loop:
         accepted = self._without_spare(accepted)
         self.held_out = self._predicted(accepted.fit)
         gain = _gain(self.held_out, before)
-        self.found.append(replace(found, log_score_gain=gain.total, log_score_gain_se=gain.se))
+        if self.other is not None and not gain.total > 0.0:
+            self.notes.append(
+                f"{found.name} gains nothing on {self.other.where} ({gain.total:.1f} ± {gain.se:.1f} nats): it belongs "
+                f"to {self.log.where} alone, or something else is meant"
+            )
+        self.found.append(
+            replace(
+                found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.other is None
+            )
+        )
         self.settings.tell(
             f"added {with_place(found)}: {gain.total:+.1f} nats on held-out data", "judging the model with it"
         )
@@ -255,6 +280,8 @@ class Loop:
         """Return how a model predicts the held-out part; None where its filter loses the robot."""
         seed = stream_seed(self.settings.seed, "predictions of a step")
         try:
+            if self.other is not None:
+                return predicted_log(fit, self.other, particles=self.settings.comparing, seed=seed)
             return held_out(fit, self.split, particles=self.settings.comparing, seed=seed)
         except FilterError:
             return None
@@ -331,6 +358,17 @@ class Loop:
         listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
         self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
 
+    def _windows(self, fit: Fit, added: Sequence[Effect]) -> list[Acting | None]:
+        """Return when each added effect acts, given a fit of the final model to the whole log."""
+        if added:
+            self.settings.tell("looking for when each effect acts")
+        seed = stream_seed(self.settings.seed, "windows of effects")
+
+        def find(k: int) -> Acting | None:
+            return acting(fit, added[k], particles=self.settings.particles, seed=seed)
+
+        return self.settings.mapped(find, "windows of effects", [effect.name for effect in added])
+
     def _calibrated(self, model: RobotModel, draws: int) -> Posterior | None:
         """Run full chains of the final model; return None, and note why, if they lose the robot."""
         self.settings.tell("calibrating the final model by full chains")
@@ -361,9 +399,10 @@ class Loop:
                 )
             )  # fmt: skip
         added = model.named_effects[len(self.base.effects) :]
+        windows = self._windows(last.fit, added)
         found = tuple(
-            with_estimates_of(found, effect, after, model.fixed)
-            for found, effect in zip(self.found, added, strict=True)
+            with_window(with_estimates_of(found, effect, after, model.fixed), effect, window)
+            for found, effect, window in zip(self.found, added, windows, strict=True)
         )
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)
@@ -386,11 +425,12 @@ class Loop:
             after=after,
             log=log,
             split=self.split,
+            held_out=self.other,
             first=first,
             last=last,
             posterior=posterior,
             notes=tuple(self.notes),
-            settings=self.settings.recorded(self.split, self.log.fingerprint()),
+            settings=self.settings.recorded(self.split, self.log.fingerprint(), self.other),
             nothing_probability=self.nothing_probability,
         )
 

@@ -52,11 +52,14 @@ class Runs(NamedTuple):
         Returns the candidates for a log.
     run : callable
         Runs a loop to its result.
+    other : RobotLog, optional
+        Another log of the robot, on which gaps are shown.
     """
 
     settings: Settings
     offered: Callable[[RobotLog], Sequence[Effect]]
     run: Callable[[Loop], Criticism]
+    other: RobotLog | None = None
 
     def criticism_of(self, log: RobotLog, base: RobotModel) -> Criticism:
         """Criticise a model; if its filter loses the robot, one with gross errors, or the log before the loss.
@@ -101,7 +104,7 @@ class Runs(NamedTuple):
 
     def _criticism(self, log: RobotLog, model: RobotModel, loss: Loss | None = None, *notes: str) -> Criticism:
         log = with_estimated_path(log, model, seed=self.settings.seed)
-        return self.run(Loop(model, Search(log, self.offered(log), self.settings), loss, notes))
+        return self.run(Loop(model, Search(log, self.offered(log), self.settings), loss, notes, self.other))
 
     def _before_the_loss(self, log: RobotLog, base: RobotModel, lost: _Lost, tried: str) -> Criticism | None:
         """Criticise a model on the rows before its filter loses the robot; return None if these are too few."""
@@ -142,7 +145,7 @@ class Runs(NamedTuple):
             first=None,
             last=None,
             notes=(f"{tried}; before that there are too few rows to be judged",),
-            settings=self.settings.recorded(split, log.fingerprint()),
+            settings=self.settings.recorded(split, log.fingerprint(), self.other),
         )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pmcl.criticism.progress import Progress
+from pmcl.logs.robot_log import RobotLog
 
 __all__ = ["FINER", "Settings"]
 
@@ -26,6 +27,8 @@ class Settings:
         As in :func:`pmcl.criticism.workflow.criticize`.
     finer : int
         Comparisons of log scores use this many times the particles of a scored pass.
+    statistics : tuple of :class:`~pmcl.criticism.scoring.statistics.Statistic`
+        Statistics of the user's own, which become alarms.
     reporter : Progress
         Reports how far the run has come.
     """
@@ -38,6 +41,7 @@ class Settings:
     workers: int
     progress: bool
     finer: int = FINER
+    statistics: tuple[Any, ...] = ()
     reporter: Progress = field(default_factory=Progress, compare=False, repr=False)
 
     @property
@@ -57,7 +61,7 @@ class Settings:
         """
         self.reporter.tell(message, doing)
 
-    def recorded(self, split: int, fingerprint: str) -> dict[str, Any]:
+    def recorded(self, split: int, fingerprint: str, other: RobotLog | None) -> dict[str, Any]:
         """Return the settings that reproduce a run; the result does not depend on the others.
 
         Parameters
@@ -66,8 +70,13 @@ class Settings:
             First row of the held-out part.
         fingerprint : str
             The log's fingerprint.
+        other : RobotLog or None
+            Another log that is held out.
         """
         told = vars(self) | {"split": split, "log": fingerprint}
+        told["statistics"] = [statistic.name for statistic in self.statistics]
+        if other is not None:
+            told["held_out"] = other.fingerprint()
         del told["workers"], told["reporter"]
         return told
 

@@ -8,13 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from pmcl import defaults
-from pmcl.criticism.arguments import check_arguments
+from pmcl.criticism.arguments import check_arguments, check_other
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.progress import Progress
+from pmcl.criticism.scoring.statistics import Statistic, checked_statistics, statistics_in_use
 from pmcl.criticism.settings import Settings
 from pmcl.errors import CriticismError
+from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.schema import readings
@@ -34,7 +36,9 @@ def criticize(
     log: RobotLog,
     model: RobotModel | None = None,
     *,
+    held_out: RobotLog | None = None,
     effects: Sequence[Effect] | None = None,
+    statistics: Sequence[Statistic] | None = None,
     particles: int = defaults.CRITICISM_PARTICLES,
     seed: int = 0,
     level: float = defaults.FALSE_ALARM_LEVEL,
@@ -55,8 +59,14 @@ def criticize(
         The log; its reference trajectory and true parameters are never read.
     model : RobotModel, optional
         The base model; the default model of the log when left out.
+    held_out : RobotLog, optional
+        Another log of the robot with the same sensors, which gives gains and gaps. When left out, the last part of
+        `log` serves for that.
     effects : sequence of Effect, optional
         Candidates; when left out, all effects of the catalogue at all places that the log has.
+    statistics : sequence of Statistic, optional
+        Statistics of your own, which become alarms; when left out, those in use
+        (:func:`pmcl.criticism.scoring.statistics.use_statistics`).
     particles : int
         Particles of scored passes; comparisons of log scores use four times as many.
     seed : int
@@ -98,8 +108,9 @@ def criticize(
     An alarm is the only reason to look for an effect. What it is, posterior probabilities decide
     (:mod:`pmcl.criticism.naming.search`): half of the prior is on nothing, and the evidence of each effect is that of
     the whole log. The most probable effect is added, and told with those that may be meant instead. The gap is that of
-    the last 40 % of the rows, predicted by models whose parameters are fitted to the rows before. An alarm that is not
-    beyond doubt is judged again with three times as many simulated logs, unless some effect explains it beyond doubt.
+    the last 40 % of the rows, predicted by models whose parameters are fitted to the rows before, or that of the other
+    log. An alarm that is not beyond doubt is judged again with three times as many simulated logs, unless some effect
+    explains it beyond doubt.
 
     If the filter of the base model loses the robot, scores mean nothing. Effects of the motion are refitted then, and
     after them effects of the sensors; the first one that lets the filter follow is added. If there is none, gross
@@ -110,10 +121,12 @@ def criticize(
     log and no alarm is left.
     """
     check_arguments(
-        log, model, effects, {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds,
-                              "draws": draws, "workers": workers},
+        log, held_out, model, effects,
+        {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds, "draws": draws,
+         "workers": workers},
         {"joint": joint, "progress": progress, "posterior": posterior}, seed, level,
     )  # fmt: skip
+    own_statistics = statistics_in_use() if statistics is None else checked_statistics(statistics)
     if posterior and not joint:
         raise CriticismError(
             "expected full chains for a posterior, but joint=False switches them off; leave joint at True, or ask "
@@ -123,13 +136,25 @@ def criticize(
     _check(log)
     checked_logs((log,), model)
     base = model or default_model(log)
+    other = None
+    if held_out is not None:
+        other = held_out.without_truth()
+        check_other(log, other)
+        checked_logs((other,), model)
     with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
-        settings = Settings(particles, seed, level, simulations, paths, threads, progress, reporter=reporter)
+        settings = Settings(
+            particles, seed, level, simulations, paths, threads, progress, reporter=reporter,
+            statistics=own_statistics,
+        )  # fmt: skip
+        if other is not None:
+            # Formulas that are found on the log may need the path of the other one.
+            other = with_estimated_path(other, base, always=True, seed=seed)
         runs = Runs(
             settings,
             offered=candidates if effects is None else lambda log: effects,
             run=lambda loop: loop.run(rounds, joint, draws, always=posterior),
+            other=other,
         )
         return runs.criticism_of(log, base)
 

@@ -1,4 +1,4 @@
-"""Examples to copy and change: data of your own, an effect of your own, a sensor of your own.
+"""Examples to copy and change: data, an effect, a sensor and a statistic of your own.
 
 Each module is one short file that runs as it is, with a simulated robot in place of yours. ``pmcl example`` lists them
 and ``pmcl example NAME -o FILE.py`` copies one; nothing else in pmcl uses them.

@@ -81,6 +81,7 @@ def with_estimated_path(
     theta: Mapping[str, float] | None = None,
     *,
     ahead: bool = False,
+    always: bool = False,
     seed: int = 0,
 ) -> RobotLog:
     """Return a log with an estimate of its path, where the model has formulas that need one.
@@ -96,6 +97,8 @@ def with_estimated_path(
     ahead : bool
         Whether each pose may depend on earlier rows only, as a localization that is judged by what it foresees must;
         else on all rows.
+    always : bool
+        Whether the path is estimated also for a model without such formulas, because some may be added.
     seed : int
         All randomness follows from it.
 
@@ -110,7 +113,7 @@ def with_estimated_path(
         When model and log do not fit each other, or the filter loses the robot.
     """
     needing = path_formulas(model.named_effects)
-    if not needing or log.estimated("path") is not None:
+    if not (needing or always) or log.estimated("path") is not None:
         return log
     # A coefficient of zero needs no path.
     zero = {parameter.name: 0.0 for effect in needing for parameter in effect.parameters}

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from pmcl.criticism.findings.parts import Candidate, Estimate, Step, Unexplained
 from pmcl.criticism.findings.result import Criticism
-from pmcl.criticism.findings.verdict import as_percentage, channels_of, likeness_of, with_place
+from pmcl.criticism.findings.verdict import as_percentage, channels_of, likeness_of, window_of, with_place
 from pmcl.criticism.judging.alarms import Alarm
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
 from pmcl.reports.html import Picture, page, picture, write_page
@@ -55,10 +55,11 @@ def write_criticism_report(
         with_place=with_place,
         as_percentage=as_percentage,
         likeness_of=likeness_of,
+        window_of=window_of,
         nothing=as_percentage(criticism.nothing_probability),
         parameters=_parameters(criticism),
         gaps=_gaps(criticism),
-        split=criticism.split,
+        held_out=_held_out_part(criticism),
         alarms=[_alarm_row(stage, alarm) for stage, alarm in alarms],
         raised=lambda row, column: column == _ALARM_COLUMN and alarms[row][1].raised,
         pictures=_pictures(criticism),
@@ -72,6 +73,15 @@ def _subject(criticism: Criticism) -> str:
     log = criticism.log
     length = f"{log.n_steps} rows over {log.times[-1] - log.times[0]:.0f} s, {log.n_readings} readings"
     return f"{log.where}; {length}." if log.where else f"{length}."
+
+
+def _held_out_part(criticism: Criticism) -> str:
+    if criticism.held_out is None:
+        return (
+            f"on the held-out part of the log, the rows from {criticism.split} on, by models that were fitted to the "
+            "rows before"
+        )
+    return f"on another log, {criticism.held_out.where} ({criticism.held_out.n_steps} rows), which no fit has used"
 
 
 def _unexplained_row(disagreement: Unexplained, criticism: Criticism) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, fi
         judgement = SimpleNamespace(p_value=p_value, raised=("alarm",) if p_value < 0.05 else ())
         return SimpleNamespace(judgement=judgement, scored=scored, simulated=simulated)
 
-    def score_log(bound, theta, directions, *, path, particles, paths, seed):
+    def score_log(bound, theta, directions, *, path, particles, paths, seed, statistics):
         seeds.append((seed.entropy, seed.spawn_key))
         return "scored"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,14 +10,12 @@ import pytest
 
 from pmcl.criticism import loop
 from pmcl.criticism.findings.verdict import EXPLAINED, UNKNOWN, sentence_of
-from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.loop import Loop, Loss
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import FilterError, PosteriorError
-from pmcl.filtering.paired_scores import Gain
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.outliers import with_gross_errors
 from pmcl.models.robot_model import default_model
@@ -129,24 +126,21 @@ def test_gross_errors_come_once(log):
     assert runs == [model]
 
 
-@pytest.mark.parametrize(("loss", "follows", "kept", "note"), [
-    (40.0, True, True, "without them held-out rows lose 40.0"),
-    (2.0, True, False, "dropped when what was found explained them"),
-    (2.0, False, True, "without them the filter loses the robot"),
+@pytest.mark.parametrize(("evidence", "follows", "kept", "note"), [
+    (40.0, True, True, "the log speaks for them with 40.0 nats"),
+    (-2.0, True, False, "dropped when what was found explained them"),
+    (-2.0, False, True, "without them the filter loses the robot"),
 ])  # fmt: skip
 def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_is_lost(
-    monkeypatch, log, loss, follows, kept, note
+    monkeypatch, log, evidence, follows, kept, note
 ):
-    plain, nothing = default_model(log), 3 * [Gain(0.0, 0.0)]
+    plain = default_model(log)
     one = Loop(with_gross_errors(plain), Search(log, (), SETTINGS), Loss(plain, "", None))
     one.found = ["made"]
     bound = one.base.bind(log)
     theta = bound.prior_mean()
     known = dict(zip(bound.names, theta, strict=True))
     fit = SimpleNamespace(bound=bound, path=np.zeros((240, 3)), values=lambda: known)
-    current = Trial(None, one.base, fit, np.zeros(240), 0.0, *nothing, SETTINGS.comparing)
-    # The loss is spread over the held-out rows alike.
-    without = replace(current, model=plain, row_scores=np.full(240, -loss / (240 - one.search.split)))
     fitted = []
 
     def followed(fit):
@@ -159,12 +153,13 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
 
     monkeypatch.setattr(loop, "quick_fit", fit_again)
     monkeypatch.setattr(loop, "compile_for_criticism", lambda tables: None)
-    monkeypatch.setattr(loop, "trial_of_base", lambda *_, **__: without)
+    monkeypatch.setattr(loop, "trial_of_base", lambda fit, **_: fit)
+    monkeypatch.setattr(loop, "evidence_between", lambda trial, without: evidence)
     monkeypatch.setattr(one, "_follow", followed)
     monkeypatch.setattr(one, "_record", lambda *given, **_: one.steps.append(given))
     monkeypatch.setattr(one.search, "judge", lambda fit: "judged again")
     last = SimpleNamespace(fit=fit)
-    after = one._without_gross_errors(one.loss, last, current)
+    after = one._without_gross_errors(one.loss, last)
     assert after == (last if kept else "judged again")
     assert len(one.steps) == (0 if kept else 1)
     assert note in one.notes[0]
@@ -173,7 +168,7 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
     np.testing.assert_array_equal(values, theta[:-1])
     # Without anything found there is nothing that could have replaced them.
     one.found = []
-    assert one._without_gross_errors(one.loss, last, current) is last
+    assert one._without_gross_errors(one.loss, last) is last
 
 
 def test_a_lost_robot_is_part_of_the_sentence(log):

@@ -100,7 +100,7 @@ def test_the_json_file_holds_the_probabilities():
         found(BY_NAME["range-bias"], [0.05]), probability=0.7,
         alternatives=(Alternative("beam-bias", {"beams": (2,)}, 0.2), Alternative("unknown effect", {}, 0.1)),
     )  # fmt: skip
-    entry = effect_entry(effect)
+    entry = effect_entry(effect, (0.0, 599.0))
     assert entry["probability"] == 0.7
     assert entry["alternatives"] == [
         {"name": "beam-bias", "where": {"beams": [2]}, "probability": 0.2},

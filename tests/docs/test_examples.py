@@ -113,4 +113,12 @@ def test_examples_find_what_they_simulate(name, tmp_path, monkeypatch, capsys):
 
 
 def test_every_example_is_run():
-    assert {*EXPECTED, "own_sensor"} == set(example_names())
+    assert {*EXPECTED, "own_sensor", "own_statistic"} == set(example_names())
+
+
+@pytest.mark.slow
+def test_the_statistic_of_the_example_tells_which_ranges_are_off(capsys):
+    importlib.import_module("pmcl.examples.own_statistic").main()
+    steady, tilted = (float(p) for p in re.findall(r"p = ([\d.e+-]+);", capsys.readouterr().out))
+    assert steady > 0.01
+    assert tilted < 1e-4

@@ -14,6 +14,7 @@ from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import Fit
 from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.when import Acting
 from pmcl.criticism.judging.alarms import Judgement
 from pmcl.criticism.judging.locate import locate
 from pmcl.criticism.scoring.scores import Direction, instance_key
@@ -24,6 +25,7 @@ from pmcl.posterior.compat import Posterior
 
 __all__ = [
     "candidates_of", "drawn_estimates", "estimates", "filled_in", "found_effect", "unexplained_of", "with_estimates_of",
+    "with_window",
 ]  # fmt: skip
 
 # Number of candidates that are listed although they were only scored.
@@ -120,6 +122,25 @@ def with_estimates_of(
     if name.startswith(PREFIX):
         name = filled_in(name, after[effect.parameters[0].name].mean)
     return replace(found, name=name, parameters=parameters)
+
+
+def with_window(found: FoundEffect, effect: Effect, acts: Acting | None) -> FoundEffect:
+    """Return a found effect with its window.
+
+    Parameters
+    ----------
+    found : FoundEffect
+        The effect, with its calibrated parameters.
+    effect : Effect
+        The same effect with the parameter names that the final model has.
+    acts : Acting or None
+        When it acts.
+    """
+    if acts is None:
+        return found
+    inside = {p.name: Estimate(*acts.values[p.name], p.unit) for p in effect.parameters if p.name in acts.values}
+    # What the model holds fixed, it holds fixed there, too.
+    return replace(found, acting=acts, while_acting={**found.parameters, **inside} if inside else {})
 
 
 def filled_in(name: str, value: float) -> str:

@@ -30,8 +30,16 @@ def _where(where: Mapping[str, Any]) -> dict[str, Any]:
     return {key: list(values) for key, values in where.items()}
 
 
-def effect_entry(effect: FoundEffect) -> dict[str, Any]:
-    """Return an accepted effect."""
+def effect_entry(effect: FoundEffect, log_times: tuple[float, float]) -> dict[str, Any]:
+    """Return an accepted effect.
+
+    Parameters
+    ----------
+    effect : FoundEffect
+        The effect.
+    log_times : tuple of float
+        First and last time of the log [s].
+    """
     return {
         "name": effect.name,
         "where": _where(effect.where),
@@ -48,6 +56,20 @@ def effect_entry(effect: FoundEffect) -> dict[str, Any]:
             {"name": other.name, "where": _where(other.where), "probability": other.probability}
             for other in effect.alternatives
         ],
+        **_window(effect, log_times),
+    }
+
+
+def _window(effect: FoundEffect, log_times: tuple[float, float]) -> dict[str, Any]:
+    """Return when an effect acts; an end that is not the effect's own is that of the log, and has no interval."""
+    acts = effect.acting
+    if acts is None:
+        return {"window": None}
+    return {
+        "window": [acts.begin.time if acts.begin else log_times[0], acts.end.time if acts.end else log_times[1]],
+        "window_intervals": [[moment.low, moment.high] if moment else None for moment in (acts.begin, acts.end)],
+        "window_probability": acts.probability,
+        "window_parameters": estimates_entry(effect.while_acting),
     }
 
 

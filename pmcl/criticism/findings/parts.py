@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from pmcl.criticism.fitting.held_out import Gap
+from pmcl.criticism.fitting.when import Acting
 from pmcl.criticism.judging.alarms import Alarm
 
 __all__ = ["Alternative", "Candidate", "Estimate", "FoundEffect", "Step", "Unexplained"]
@@ -93,6 +94,10 @@ class FoundEffect:
         was not computed, because the data show the effect without a fit, or the filter followed with it only.
     alternatives : tuple of Alternative
         What has the rest of the probability, the most probable first.
+    acting : Acting or None
+        When it acts; None where it acts throughout the log. The model has it throughout all the same.
+    while_acting : mapping of str to Estimate
+        Its parameters while it acts, from the rows in which it does; empty where they are not known.
     """
 
     name: str
@@ -108,6 +113,8 @@ class FoundEffect:
     chosen_on_all_rows: bool = True
     probability: float = math.nan
     alternatives: tuple[Alternative, ...] = ()
+    acting: Acting | None = None
+    while_acting: Mapping[str, Estimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -117,12 +124,13 @@ class Unexplained:
     Attributes
     ----------
     channel : str
-        Variable of the log, or the name of a score; "pose" where the filter loses the robot.
+        Variable of the log, or the name of a score or of a statistic of the user's own; "pose" where the filter loses
+        the robot.
     beams : tuple of int
         Beams or landmarks; empty for all.
     covariate, moment : str
         The covariate that the disagreement depends on, and whether readings are biased ("mean") or have another spread
-        than predicted ("spread").
+        than predicted ("spread"); "statistic" for a statistic of the user's own.
     interval : tuple of float
         Values of the covariate, in its unit, between which the disagreement is worst.
     time : tuple of int

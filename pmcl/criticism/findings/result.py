@@ -73,7 +73,9 @@ class Criticism:
     log : RobotLog
         The log; with an estimate of its path if the final model has formulas that need one.
     split : int
-        First row of the held-out part.
+        First row of the held-out part; the number of rows of the log if another log is held out.
+    held_out : RobotLog or None
+        The other log that was held out.
     first, last : JudgedFit or None
         The first and the last model, with the log's tests under each; None where nothing could be judged, because the
         filter loses the robot.
@@ -107,15 +109,17 @@ class Criticism:
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     nothing_probability: float = math.nan
+    held_out: RobotLog | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
+        times = self.log.times.tolist()
         return {
             "format": FORMAT,
             "verdict": self.verdict,
             "nothing_probability": self.nothing_probability,
             "sentence": self.sentence,
-            "effects": [effect_entry(effect) for effect in self.effects],
+            "effects": [effect_entry(effect, (times[0], times[-1])) for effect in self.effects],
             "unexplained": [unexplained_entry(disagreement) for disagreement in self.unexplained],
             "steps": [step_entry(step) for step in self.steps],
             "parameters": {"before": estimates_entry(self.before), "after": estimates_entry(self.after)},

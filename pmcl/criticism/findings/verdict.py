@@ -6,13 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 
 from pmcl.criticism.findings.parts import Alternative, Estimate, FoundEffect, Step, Unexplained
+from pmcl.criticism.fitting.when import Moment
 from pmcl.criticism.judging.alarms import Judgement
+from pmcl.criticism.scoring.statistics import OWN
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
     "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "as_percentage", "channels_of", "finding_of", "likeness_of",
-    "sentence_of", "verdict_of", "with_place",
+    "sentence_of", "size_throughout", "verdict_of", "window_of", "with_place",
 ]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
@@ -26,6 +28,8 @@ WORTH_A_FORMULA = _WITHOUT_EFFECT
 """No formula is sought for weaker alarms: they count only if a known effect confirms them."""
 # A parameter of the base model is mentioned when it changes by at least this many of its standard deviations.
 _CHANGED = 2.0
+# Times whose interval is at least so long [s] are told in full seconds (chosen by hand).
+_FULL_SECONDS = 2.0
 # More beams or landmarks than this are counted instead of listed in the sentence.
 _MOST_LISTED = 8
 
@@ -131,7 +135,8 @@ def sentence_of(
     elif verdict == UNKNOWN:
         worst = unexplained[0]
         kind = "landmark" if worst.channel.startswith("landmark") else "beam"
-        where = worst.channel if worst.channel in log.dataset else f"the score of {worst.channel}"
+        what = "the statistic" if worst.moment == OWN else "the score of"
+        where = worst.channel if worst.channel in log.dataset else f"{what} {worst.channel}"
         if len(worst.beams) > _MOST_LISTED:
             where += f" of {len(worst.beams)} {kind}s"
         elif worst.beams:
@@ -159,11 +164,43 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
     probability = as_percentage(effect.probability)
     if probability:
         alike = f", probability {probability}{alike}"
+    if size := size_throughout(effect):
+        alike += f"; {size}"
+    when = f" {window_of(effect)}" if effect.acting else ""
     if not effect.finding:
         numbers = ", ".join(f"{name} = {estimate:+}" for name, estimate in effect.parameters.items())
-        return f"{with_place(effect)}: {effect.summary.rstrip('.')} ({numbers}{alike})"
+        return f"{with_place(effect)}: {effect.summary.rstrip('.')}{when} ({numbers}{alike})"
     places = {kind: _as_text(values, kind, log) for kind, values in effect.where.items()}
-    return f"{effect.finding.format(*effect.parameters.values(), **places)} ({effect.name}{alike})"
+    parameters = effect.while_acting or effect.parameters
+    return f"{effect.finding.format(*parameters.values(), **places)}{when} ({effect.name}{alike})"
+
+
+def window_of(effect: FoundEffect) -> str:
+    """Say when an effect acts, e.g. "since t = 312 s (310 to 318 s)"; empty where it acts throughout the log."""
+    acts = effect.acting
+    if acts is None:
+        return ""
+    if acts.begin is None:
+        return f"until {_moment(acts.end)}" if acts.end is not None else ""
+    if acts.end is None:
+        return f"since {_moment(acts.begin)}"
+    return f"between {_moment(acts.begin)} and {_moment(acts.end)}"
+
+
+def _moment(moment: Moment) -> str:
+    """Return a time with its interval, in full seconds unless the interval is shorter than some of them."""
+    width = moment.high - moment.low
+    whole = width >= _FULL_SECONDS or all(time.is_integer() for time in moment)
+    digits = 0 if whole else 1 if width >= 0.1 * _FULL_SECONDS else 2
+    return f"t = {moment.time:.{digits}f} s ({moment.low:.{digits}f} to {moment.high:.{digits}f} s)"
+
+
+def size_throughout(effect: FoundEffect) -> str:
+    """Say what the model, which has an effect throughout, says of its size; empty where the effect acts throughout."""
+    if not effect.while_acting:
+        return ""
+    sizes = ", ".join(f"{name} = {estimate:+}" for name, estimate in effect.parameters.items())
+    return f"the model has it throughout the log, with {sizes}"
 
 
 def likeness_of(effect: FoundEffect) -> tuple[str, ...]:

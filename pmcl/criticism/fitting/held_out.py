@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,11 @@ from pmcl.criticism.fitting.quick_fit import BRIEF, Fit, quick_fit
 from pmcl.filtering.not_a_number import parameters_told
 from pmcl.filtering.one_step_ahead import Predictions, pooled_increments, predict_by_passes
 from pmcl.filtering.particle_filter import make_rng, run_filter
+from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.formula import portable
 from pmcl.models.robot_model import BoundModel
 
-__all__ = ["HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "gap_of", "held_out", "row_scores"]
+__all__ = ["HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "gap_of", "held_out", "predicted_log", "row_scores"]
 
 Float = NDArray[np.float64]
 
@@ -141,12 +144,41 @@ def held_out(fit: Fit, split: int, *, particles: int, seed: int) -> HeldOut:
     part = quick_fit(
         bound.restricted(split), seed, theta=fit.theta, path=fit.path[:split], draws=fit.draws, effort=BRIEF
     )
+    return _predicted(bound, part.theta, split, particles, seed)
+
+
+def predicted_log(fit: Fit, log: RobotLog, *, particles: int, seed: int) -> HeldOut:
+    """Let a fitted model predict another log of the robot.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fit of the model.
+    log : RobotLog
+        The other log; with an estimate of its path if the model has formulas that need one.
+    particles : int
+        Particles of each pass of the filter.
+    seed : int
+        Determines all random numbers.
+
+    Raises
+    ------
+    FilterError
+        When the filter loses the robot entirely.
+    """
+    model = fit.bound.model
+    bound = replace(model, effects=tuple(portable(effect) for effect in model.effects)).bind(log)
+    return _predicted(bound, fit.theta, 0, particles, seed)
+
+
+def _predicted(bound: BoundModel, theta: Float, first: int, particles: int, seed: int) -> HeldOut:
+    """Predict the rows of a log from one on."""
     rng = make_rng(np.random.SeedSequence(seed))
-    with parameters_told(bound, part.theta):
-        predictions = predict_by_passes(bound.tables(part.theta)[0], bound.lengths[0], particles, rng)
+    with parameters_told(bound, theta):
+        predictions = predict_by_passes(bound.tables(theta)[0], bound.lengths[0], particles, rng)
     rows = np.zeros(bound.lengths[0])
     np.add.at(rows, predictions.time, predictions.log_score)
-    return HeldOut(gap_of(predictions, predictions.pit(rng), slice(split, None)), rows[split:])
+    return HeldOut(gap_of(predictions, predictions.pit(rng), slice(first, None)), rows[first:])
 
 
 def gap_of(predictions: Predictions, pit: Float, rows: slice) -> Gap:

@@ -37,7 +37,7 @@ class Alarm(NamedTuple):
     Attributes
     ----------
     family : str
-        One of :data:`pmcl.criticism.scoring.features.FAMILIES`.
+        One of :data:`pmcl.criticism.scoring.features.FAMILIES`, or the name of a statistic of the user's own.
     p_value : float
         Probability of a greatest deviation at least this large when the model is right.
     raised : bool
@@ -198,7 +198,8 @@ def judge(
     )
     tests: list[tuple[str, _FamilyTest, Feature, float]] = []
     critical = np.inf
-    for family in FAMILIES:
+    own = dict.fromkeys(feature.family for feature in features if feature.family not in FAMILIES)
+    for family in (*FAMILIES, *own):
         members = [k for k, feature in enumerate(features) if feature.family == family]
         members = list(range(len(directions))) if family == "score" else members
         if not members:

@@ -80,7 +80,7 @@ def judge_log(log: RobotLog, fit: Fit, directions: Sequence[Direction], settings
     seed = stream(settings.seed, "scores of the log")
     scored = score_log(
         fit.bound, fit.theta, directions, path=fit.drawn_path, particles=settings.particles, paths=settings.paths,
-        seed=seed,
+        seed=seed, statistics=settings.statistics,
     )  # fmt: skip
     return _judged(scored, _simulated(log, fit, directions, range(count), settings), directions, settings)
 
@@ -131,7 +131,7 @@ def _simulated(
             try:
                 return score_log(
                     bound, fit.theta, directions, path=replica.path, particles=settings.particles,
-                    paths=settings.paths, seed=seed,
+                    paths=settings.paths, seed=seed, statistics=settings.statistics,
                 )  # fmt: skip
             except FilterError as error:
                 if error.row is None:

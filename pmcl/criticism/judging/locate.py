@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.judging.alarms import Alarm
+from pmcl.criticism.scoring.features import Feature
 from pmcl.criticism.scoring.scored_log import ScoredLog
+from pmcl.criticism.scoring.statistics import OWN
+from pmcl.filtering.paired_scores import block_starts
 
 __all__ = ["Location", "locate"]
 
@@ -27,7 +30,7 @@ class Location(NamedTuple):
     Attributes
     ----------
     channel : str
-        Variable of the log, or the name of a score.
+        Variable of the log, or the name of a score or of a statistic of the user's own.
     beams : tuple of int
         Beams or landmarks; empty for all.
     covariate, moment : str
@@ -59,6 +62,8 @@ def locate(alarm: Alarm, scored: ScoredLog, scores: Mapping[str, Float]) -> Loca
         Scores, row by row, by the names that features of the families "score" and "fluctuation" have.
     """
     feature = alarm.worst
+    if feature.moment == OWN:
+        return _of_statistic(feature, scored)
     name = feature.covariate.strip("|").removeprefix("cos ").removeprefix("sin ")
     of_rows = scored.row_covariates._asdict()
     if alarm.family in ("score", "fluctuation"):
@@ -83,6 +88,16 @@ def locate(alarm: Alarm, scored: ScoredLog, scores: Mapping[str, Float]) -> Loca
     interval = _worst_interval(column, residual) if column is not None else (float("nan"), float("nan"))
     first, last = _worst_interval(time.astype(float), residual)
     return Location(feature.kind, beams, feature.covariate, feature.moment, interval, (int(first), int(last)))
+
+
+def _of_statistic(feature: Feature, scored: ScoredLog) -> Location:
+    """Return where a statistic of the user's own is greatest; only its sums over blocks of rows are known."""
+    blocks = scored.residual_blocks[scored.features.index(feature)]
+    starts = block_starts(scored.row_covariates.time.size)
+    first, last = _worst_interval(np.arange(blocks.size, dtype=float), blocks)
+    ends = np.append(starts[1:], scored.row_covariates.time.size) - 1
+    nothing = (float("nan"), float("nan"))
+    return Location(feature.kind, (), "", OWN, nothing, (int(starts[int(first)]), int(ends[int(last)])))
 
 
 def _worst_channels(channel: NDArray[np.int64], residual: Float, given: int) -> tuple[int, ...]:

@@ -41,16 +41,16 @@ class Feature(NamedTuple):
     Attributes
     ----------
     family : str
-        One of :data:`FAMILIES`.
+        One of :data:`FAMILIES`, or the name of a statistic of the user's own.
     kind : str
-        Variable of the log, or name of the scored parameter or effect.
+        Variable of the log, or name of the scored parameter or effect, or of the statistic.
     channel : int
         Beam or landmark; -1 for all together.
     covariate : str
         The covariate that the residual is compared with; empty for none.
     moment : str
         "mean" (readings too long or too short), "spread" (predictions too uncertain or too sure), or "wave 3" to
-        "wave 6" for cosines of the PIT histogram.
+        "wave 6" for cosines of the PIT histogram; "statistic" for a statistic of the user's own.
     one_sided : bool
         Whether only large values are unusual.
     """

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmcl.criticism.scoring.covariates import RowCovariates, reading_covariates, row_covariates
 from pmcl.criticism.scoring.features import Feature, fluctuation_features, residual_features
 from pmcl.criticism.scoring.scores import Direction, effect_scores, parameter_scores
+from pmcl.criticism.scoring.statistics import Statistic, residuals_of, statistic_features
 from pmcl.engine.contract import reading_exponent
 from pmcl.filtering.not_a_number import parameters_told
 from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
@@ -96,6 +97,7 @@ def score_log(
     particles: int,
     paths: int,
     seed: int | np.random.SeedSequence,
+    statistics: Sequence[Statistic] = (),
 ) -> ScoredLog:
     """Compute the residuals and scores of a log from several passes of the filter.
 
@@ -120,6 +122,8 @@ def score_log(
         Number of trajectories over which scores are averaged.
     seed : int or SeedSequence
         Determines all random numbers.
+    statistics : sequence of Statistic
+        Statistics of the user's own.
 
     Returns
     -------
@@ -132,6 +136,8 @@ def score_log(
         When the filter loses the robot entirely.
     DensityError
         When a density is not a number.
+    CriticismError
+        When a statistic returns something else than numbers.
     """
     log, tables = bound.logs[0], bound.tables(theta)[0]
     rng = make_rng(seed)
@@ -147,6 +153,9 @@ def score_log(
     pit = predictions.pit(rng)
     tempered = [number for number, sensor in enumerate(tables.sensors) if reading_exponent(sensor) != 1.0]
     features, blocks = residual_features(predictions, pit, of_readings, of_rows, tempered)
+    if statistics:
+        own, its_blocks = statistic_features(statistics, residuals_of(predictions, pit, of_readings, of_rows))
+        features, blocks = [*features, *own], np.concatenate([blocks, its_blocks])
     no_scores = np.empty((0, bound.lengths[0]))
     without_candidates = ScoredLog(
         predictions, pit, mean, of_rows, of_readings, parameter_scores(bound, theta, columns), no_scores, (),

@@ -72,6 +72,9 @@ class Effect:
         squares then still serve the other parameters.
     absorber : bool
         Whether it is so general that it also absorbs what other effects cause: correlated noise, outliers, more noise.
+    may_begin : bool
+        Whether it may begin or end in the course of a log, so that the critic says when it acts. False for effects that
+        are about time themselves, such as a drift, and for those at a place of the map, which show only there.
     near_twins : mapping of str to str
         Effects that look alike, and the motion that tells them apart.
     references : tuple of str
@@ -100,6 +103,7 @@ class Effect:
     squared: bool = False
     means_only: bool = False
     absorber: bool = False
+    may_begin: bool = True
     near_twins: Mapping[str, str] = field(default_factory=dict)
     references: tuple[str, ...] = ()
     needs: Callable[[RobotLog], bool] = always

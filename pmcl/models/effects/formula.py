@@ -37,6 +37,8 @@ Float = NDArray[np.float64]
 PREFIX = "formula: "
 """What the name of every formula begins with."""
 
+# A formula of these says itself when or where it acts.
+_TIME_AND_PLACE = {"time", "x", "y", "x_before", "y_before"}
 # Standard deviation of the default prior of a coefficient, in changes that are clearly visible.
 _PRIOR_WIDTH = 3.0
 
@@ -341,6 +343,7 @@ def formula_effect(
         symptom=f"Residuals depend on {depends}.",
         typical={"clear": tuple(clear)},
         absorber=True,  # noise that depends on something takes up much of what any effect causes
+        may_begin=window is None and not _TIME_AND_PLACE & {name for tree in change._trees for name in names_in(tree)},
     )
 
 

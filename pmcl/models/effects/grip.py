@@ -125,6 +125,7 @@ GRIP_EFFECTS = (
             "large": (0.8, 0.0, 0.0, 0.6),
         },
         shape=("slippery_patch_x", "slippery_patch_y", "slippery_patch_radius"),
+        may_begin=False,
         near_twins={"odometry-forward-scale": "drive all over the floor: a patch shows in one place"},
         references=("Angelova, Matthies, Helmick, Perona, Learning and Prediction of Slip from Visual Information, "
                     "2007",),

@@ -88,6 +88,7 @@ MAP_EFFECTS = (
         symptom="Residuals of one landmark depend on where it is seen from; those of the others are fine.",
         typical={"just visible": (0.1, 0.0), "clear": (0.3, 0.2), "large": (0.8, 0.6)},
         means_only=True,
+        may_begin=False,
         near_twins={
             "landmark-misread": "look again later: a misread landmark is right the next time",
             "landmark-noise-correlated": "come back later: an error that lasts a while is another one then",
@@ -108,6 +109,7 @@ MAP_EFFECTS = (
         symptom="All beams that hit one wall read too long (or too short) by the same length.",
         typical={"just visible": (0.03,), "clear": (0.1,), "large": (0.25,)},
         means_only=True,
+        may_begin=False,
         near_twins={"range-bias": "look at every wall from several sides"},
         references=(_THRUN,),
         needs=_sees_walls,
@@ -135,6 +137,7 @@ MAP_EFFECTS = (
             "large": (0.95, 0.0, 0.0, 0.3),
         },
         shape=("unmapped_obstacle_x", "unmapped_obstacle_y", "unmapped_obstacle_radius"),
+        may_begin=False,
         near_twins={"short-readings": "come back: an obstacle is still there"},
         references=(_THRUN,),
         needs=_sees_floor,

@@ -144,6 +144,7 @@ RANGE_NOISE_EFFECTS = (
         typical={"just visible": (0.15, 0.5), "clear": (0.5, 0.6), "large": (1.2, 0.4)},
         shape=("range_noise_changes_in_time_when",),
         absorber=True,
+        may_begin=False,
         near_twins={"range-bias-drifts": "visit the same places early and late"},
         references=("Montgomery, Introduction to Statistical Quality Control, 2012, chapter 9",),
         needs=reads_ranges,
@@ -159,6 +160,7 @@ RANGE_NOISE_EFFECTS = (
         carrier="range",
         symptom="Range residuals are fine at first, and move off to one side in the course of the log.",
         typical={"just visible": (0.02,), "clear": (0.08,), "large": (0.25,)},
+        may_begin=False,
         near_twins={
             "range-noise-changes-in-time": "visit the same places early and late",
             "range-bias": "record the beginning: a drift starts from nothing",

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,8 +28,12 @@ from pmcl.models.robot_model import default_model
 from pmcl.models.tables import Tables
 from pmcl.registry import EFFECTS, origin, registered
 
-__all__ = ["candidates", "check_on", "known_effects", "read_effects", "use_effects"]
+__all__ = [
+    "candidates", "check_on", "effects_in", "known_effects", "read_effects", "run_file", "told_by_line", "use_effects",
+    "values_in",
+]  # fmt: skip
 
+_Kind = TypeVar("_Kind")
 _in_use: list[Effect] = []
 
 # What counts as no change at the null: effects that interpolate change the last digits.
@@ -101,19 +105,45 @@ def read_effects(path: str | Path) -> tuple[Effect, ...]:
         When the file is missing, does not run, or defines no effect that can be used. The message names the line.
     """
     file = Path(path)
-    module = _run(file)
-    values = [value for name, value in vars(module).items() if not name.startswith("__")]
-    own = [effect for effect in _effects_in(values) if not any(effect is known for known in CATALOGUE)]
-    if not own:
+    found = effects_in(run_file(file), file)
+    if not found:
         raise ModelError(
             f"{file}: expected at least one pmcl.models.effects.Effect, but the file defines none; "
             "'pmcl example own_effect' prints a file to start from"
         )
+    return found
+
+
+def effects_in(module: ModuleType, file: Path) -> tuple[Effect, ...]:
+    """Return the effects that names at the top of a user's file stand for, see :func:`read_effects`.
+
+    Parameters
+    ----------
+    module : module
+        From :func:`run_file`.
+    file : path
+        The file, for messages.
+    """
     found: list[Effect] = []
-    for effect in own:
+    for effect in values_in(module, Effect):
+        if any(effect is known for known in CATALOGUE):
+            continue
         _check_new(effect, (*CATALOGUE, *_installed_effects(), *found), lambda: str(file))
         found.append(_told_by_line(effect, file))
     return tuple(found)
+
+
+def values_in(module: ModuleType, kind: type[_Kind]) -> list[_Kind]:
+    """Return the objects of one type that names at the top of a module stand for, alone or in lists and tuples.
+
+    Parameters
+    ----------
+    module : module
+        From :func:`run_file`.
+    kind : type
+        Their type.
+    """
+    return _members([value for name, value in vars(module).items() if not name.startswith("__")], kind)
 
 
 def check_on(effect: Effect, log: RobotLog) -> None:
@@ -166,7 +196,7 @@ def _installed_effects() -> tuple[Effect, ...]:
     """Return the effects of the registry: those of installed packages, and those that were registered here."""
     found: list[Effect] = []
     for name, offered in registered(EFFECTS).items():
-        effects = _effects_in([offered])
+        effects = _members([offered], Effect)
         if not effects:
             raise ModelError(
                 f"{origin(EFFECTS, name)}: expected an effect or a sequence of effects, but got a "
@@ -178,11 +208,11 @@ def _installed_effects() -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def _effects_in(values: Iterable[Any]) -> list[Effect]:
-    found: list[Effect] = []
+def _members(values: Iterable[Any], kind: type[_Kind]) -> list[_Kind]:
+    found: list[_Kind] = []
     for value in values:
         for each in value if isinstance(value, list | tuple) else (value,):
-            if isinstance(each, Effect) and not any(each is other for other in found):
+            if isinstance(each, kind) and not any(each is other for other in found):
                 found.append(each)
     return found
 
@@ -197,8 +227,19 @@ def _check_new(effect: Effect, known: Sequence[Effect], where: Callable[[], str]
         )
 
 
-def _run(file: Path) -> ModuleType:
-    """Run a file as a module of its own; whatever goes wrong becomes one line with the line number."""
+def run_file(file: Path) -> ModuleType:
+    """Run a user's file as a module of its own.
+
+    Parameters
+    ----------
+    file : path
+        The Python file.
+
+    Raises
+    ------
+    ModelError
+        Whatever goes wrong becomes one line with the line number.
+    """
     try:
         source = file.read_bytes()
     except OSError as error:
@@ -248,6 +289,19 @@ class _Located:
             raise
         except Exception as error:
             raise _located(self.file, error) from error
+
+
+def told_by_line(function: Callable[..., Any], file: Path) -> Callable[..., Any]:
+    """Return a function of a user's file, whose failures are told with file and line as ModelError.
+
+    Parameters
+    ----------
+    function : callable
+        The function.
+    file : path
+        The file.
+    """
+    return _Located(function, file)
 
 
 def _told_by_line(effect: Effect, file: Path) -> Effect:
