@@ -11,7 +11,7 @@ from scipy import stats
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
 from pmcl.criticism.fitting.spare_effects import without_spare_effects
 from pmcl.criticism.fitting.trials import Trial, log_prior_and_volume, trial_of_base, try_effect
-from pmcl.criticism.naming.candidates import RankedEffect, in_order, of_carrier, of_sensors, twins_of, untried
+from pmcl.criticism.naming.candidates import RankedEffect, by_score, in_order, of_carrier, of_sensors, twins_of, untried
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.registry import candidates
@@ -68,6 +68,21 @@ def test_the_order_is_that_of_what_candidates_promise_with_few_places_of_each():
     assert {"turn-noise-grows-with-turn", "odometry-arc"} < moving
     assert "slippery-patch" not in moving
     assert not {"motion", "map"} & {one.effect.carrier for one in of_sensors(offered)}
+
+
+def test_a_one_sided_candidate_is_ranked_by_how_far_it_is_above_simulated_logs():
+    """Its raw score is that of a finite step, and far below zero in all logs."""
+    log = simulate_amigobot(60.0, 1)
+    directions = directions_of(candidates(log))
+    names = [one.effect.name for one in directions]
+    z, score = np.zeros(len(names)), np.zeros(len(names))
+    grows = names.index("range-noise-grows-with-range")
+    assert directions[grows].one_sided
+    z[grows], score[grows] = 4.5, -60.0
+    judgement = SimpleNamespace(z=z, score=score, score_std=np.ones(len(names)))
+    first = by_score(directions, judgement)[0]
+    assert first.effect.name == "range-noise-grows-with-range"
+    assert first.z == 4.5
 
 
 def test_what_has_no_score_is_worth_a_fit_where_the_path_can_absorb_it():

@@ -37,7 +37,7 @@ def judged(tilt, statistics=(own_statistic.ARM_LEANS,)):
     bound = default_model(log).bind(log.without_truth())
     fit = quick_fit(bound, 1, theta=np.array(NOISE), path=unwrapped(log.true_poses), effort=BRIEF)
     settings = Settings(500, 0, 0.05, 24, 2, 1, False, statistics=statistics)
-    return judge_log(bound.logs[0], fit, (), 90, settings)
+    return judge_log(bound.logs[0], fit, (), settings)
 
 
 def test_what_only_its_user_knows_of_is_found_by_the_statistic_alone():

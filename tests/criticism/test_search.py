@@ -106,6 +106,7 @@ def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_
 
 def test_where_the_likeliest_explain_nothing_further_candidates_are_tried_unless_the_alarm_is_in_doubt(monkeypatch):
     # Its score is the least of all: the path has absorbed it.
+    monkeypatch.setattr(search, "_BATCH", 2)
     evidence, scores = gains(odometry_turn_scale=60.0), {"odometry-turn-scale": -0.01}
     case = Case(monkeypatch, evidence, {**scores, **dict.fromkeys(("landmark-misread", "sensor-latency"), 2.0)})
     assert case.explain(further=False).accepted is None

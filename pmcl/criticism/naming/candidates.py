@@ -58,7 +58,10 @@ def by_score(directions: Sequence[Direction], judgement: Judgement) -> list[Rank
     list of RankedEffect
         Of each effect with many places only the best instances.
     """
-    return in_order(directions, evidence_of_scores(directions, judgement), judgement.z)
+    # Deviations from what simulated logs have, also of one-sided candidates: their scores are those of a finite step,
+    # whose curvature is the same in all logs.
+    deviation = judgement.z * judgement.score_std
+    return in_order(directions, evidence_of_scores(directions, deviation, judgement.score_std), judgement.z)
 
 
 def in_order(directions: Sequence[Direction], promised: Float, z: Float) -> list[RankedEffect]:

@@ -202,7 +202,7 @@ def log_prior_odds(effect: Effect, directions: Sequence[Direction]) -> float:
     return float(np.log(share / nothing))
 
 
-def evidence_of_scores(directions: Sequence[Direction], judgement: Judgement) -> Float:
+def evidence_of_scores(directions: Sequence[Direction], score: Float, std: Float) -> Float:
     """Return the log evidence over nothing that the scores of candidates promise [nat].
 
     Near no effect, the log evidence of a candidate of size s is ``u s - s^2 I / 2`` for its score u and information I.
@@ -213,16 +213,16 @@ def evidence_of_scores(directions: Sequence[Direction], judgement: Judgement) ->
     ----------
     directions : sequence of Direction
         The K candidates.
-    judgement : Judgement
-        Tests of the log with their scores.
+    score, std : ndarray, shape (K,)
+        Their scores, and the standard deviations of these when the model is right [nat].
 
     Returns
     -------
     ndarray, shape (K,)
     """
     return np.array([
-        _evidence_of_score(direction, float(score), float(std))
-        for direction, score, std in zip(directions, judgement.score, judgement.score_std, strict=True)
+        _evidence_of_score(direction, float(of_one), float(std_of_one))
+        for direction, of_one, std_of_one in zip(directions, score, std, strict=True)
     ])  # fmt: skip
 
 
@@ -236,11 +236,12 @@ def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]
     directions : sequence of Direction
         The K candidates of these tests.
     """
+    promised = evidence_of_scores(directions, judgement.score, judgement.score_std)
     effects: dict[object, list[float]] = {}
     kept: dict[object, Effect] = {}
-    for direction, promised in zip(directions, evidence_of_scores(directions, judgement), strict=True):
+    for direction, value in zip(directions, promised, strict=True):
         key = instance_key(direction.effect)
-        effects.setdefault(key, []).append(float(promised))
+        effects.setdefault(key, []).append(float(value))
         kept[key] = direction.effect
     prior = _priors(list(kept.values()), directions, 1)
     # Of an effect with several strengths each is a model of its own, alike probable.

@@ -179,7 +179,8 @@ class Search:
         formulas: FormulaCandidates | None = None
         trials: list[Trial] = []
         probable = self._explanations(last, current, trials, formulas)
-        chosen = candidates[:_BATCH]
+        worth_a_fit = [one for one in candidates if one.worth_a_fit]
+        chosen = worth_a_fit[:_BATCH]
         while chosen:
             trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
             probable = self._explanations(last, current, trials, formulas)
@@ -190,7 +191,7 @@ class Search:
                 formulas = remarkable_formulas(last, self.judged, self.log, self.settings)
                 chosen = formulas.chosen
             if not chosen and not probable.explained:
-                chosen = [one for one in untried(candidates, trials) if one.worth_a_fit][:_BATCH]
+                chosen = untried(worth_a_fit, trials)[:_BATCH]
         trials = self._finer(current, trials, probable)
         probable = self._explanations(last, current, trials, formulas)
         return self._answer(last, trials, probable, formulas)
