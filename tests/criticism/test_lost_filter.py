@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from pmcl.criticism import loop
-from pmcl.criticism.findings.verdict import EXPLAINED, UNKNOWN, sentence_of
+from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of
 from pmcl.criticism.loop import Loop, Loss
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import FilterError, PosteriorError
+from pmcl.logs.mrclam import read_mrclam
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.selection import effect_named
 from pmcl.models.outliers import with_gross_errors
 from pmcl.models.robot_model import default_model
 from pmcl.reports.criticism_report import write_criticism_report
@@ -177,7 +179,7 @@ def test_a_lost_robot_is_part_of_the_sentence(log):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_robot_that_was_carried_away_gets_an_answer(log):
     """The part before it was carried away lacks nothing; no effect is named for what came after."""
     result = criticize(carried(log, 150), simulations=15, joint=False, seed=1, rounds=1)
@@ -192,15 +194,29 @@ def test_a_robot_that_was_carried_away_gets_an_answer(log):
 
 
 @pytest.mark.slow
-def test_a_burst_of_gross_errors_is_allowed_for(log):
-    """A dozen rows of nonsense lose a filter; with gross errors it follows to the end, and the answer says so."""
+def test_a_burst_of_gross_errors_is_allowed_for_where_no_candidate_explains_it(log):
+    """Rows of nonsense lose a filter; with gross errors it follows to the end, and the answer says so."""
     dataset, rng = log.dataset.copy(deep=True), np.random.default_rng(3)
     for name, (low, high) in {"landmark_range": (0.5, 8.0), "landmark_bearing": (-3.0, 3.0)}.items():
         dataset[name].values[120:124] = rng.uniform(low, high, dataset[name].values[120:124].shape)
-    result = criticize(RobotLog(dataset, "burst.nc"), simulations=15, joint=False, seed=1, rounds=1)
+    arc = effect_named("odometry-arc", log)
+    result = criticize(RobotLog(dataset, "burst.nc"), effects=[arc], simulations=15, joint=False, seed=1, rounds=1)
     assert result.log.n_steps == log.n_steps
     assert result.base.sensors[0].outliers
-    assert result.verdict in (UNKNOWN, EXPLAINED)
-    assert any("gross errors" in note for note in result.notes)
-    if not result.effects:
-        assert "without gross errors among the readings the filter loses the robot" in result.sentence
+    assert "gross errors among the readings are therefore allowed for" in result.notes[0]
+    assert not result.effects
+    assert result.verdict == UNKNOWN
+    assert "without gross errors among the readings the filter loses the robot" in result.sentence
+    assert 115 <= result.unexplained[0].time[0] <= 123
+    assert 0.005 < result.after["landmark_outlier_weight"].mean < 0.04
+
+
+@pytest.mark.long
+def test_a_recorded_robot_that_the_plain_model_loses_has_its_effects_named(shared_data):
+    """The filter of the default model loses this Create after 330 s; like the others it logs depth as distance."""
+    log = read_mrclam(shared_data / "mrclam7", 3, 0.5).select(0, 891)
+    result = criticize(log, joint=False, rounds=2)
+    assert "range-is-depth" in [effect.name for effect in result.effects]
+    assert any("loses the robot at t=330.5 s" in note for note in result.notes)
+    first, last = (result.steps[k].gap.log_score_per_reading for k in (0, -1))
+    assert last > first + 0.3
