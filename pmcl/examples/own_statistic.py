@@ -15,7 +15,7 @@ from pmcl.criticism import Residuals, Statistic
 
 def lean(time: np.ndarray) -> np.ndarray:
     """Return whether the arm leans back (1) or forward (-1) at times [s]; look it up where you have recorded it."""
-    return np.sign(np.sin(time / 3.1) + np.sin(time / 2.3))
+    return np.asarray(np.sign(np.sin(time / 3.1) + np.sin(time / 2.3)))
 
 
 def with_lean(residuals: Residuals) -> np.ndarray:
