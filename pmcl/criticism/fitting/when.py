@@ -169,8 +169,8 @@ def window_posterior(differences: Float) -> WindowPosterior:
     else:
         distribution = special.softmax(special.logsumexp(gains, axis=0))
         first, last = (distribution, nothing) if best == 0 else (nothing, distribution)
-    throughout, onward, until, in_between = (float(p) for p in probability)
-    return WindowPosterior(throughout, onward, until, in_between, points, first, last, multiple)
+    throughout, onward, until, inside = (float(p) for p in probability)
+    return WindowPosterior(throughout, onward, until, inside, points, first, last, multiple)
 
 
 def acting(fit: Fit, effect: Effect, *, particles: int, seed: int) -> Acting | None:

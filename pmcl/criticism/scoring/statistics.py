@@ -284,4 +284,4 @@ def _terms(statistic: Statistic, residuals: Residuals) -> Float:
             f"statistic {statistic.name}: expected finite numbers, or NaN for nothing, but got {terms[infinite[0]]} "
             f"for {statistic.per} {infinite[0]}; bound it"
         )
-    return np.asarray(np.nan_to_num(terms, nan=0.0), dtype=np.float64)
+    return np.asarray(np.nan_to_num(terms, nan=0.0))
