@@ -35,7 +35,7 @@ from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["Proposal", "Transport", "TransportResult", "linearised_at", "transport_moves"]
+__all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "transport_moves"]
 
 Float = NDArray[np.float64]
 
@@ -74,6 +74,28 @@ class Proposal:
         assert self.centre is not None
         z = self._whitening @ (u - self.centre)
         return -0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
+
+
+class Schedule(NamedTuple):
+    """What a sweep with transport moves is made of; frozen with the linearisation, as the chain's law demands.
+
+    Attributes
+    ----------
+    walk_every : int
+        Of so many proposals the first is a random walk, and the others are independent draws.
+    path_share : float
+        Probability that a sweep also draws the trajectories by particles, and theta given them. Every sweep redraws
+        them block by block, which suffices for most sweeps where blocks are accepted.
+    sweeps : int
+        Sweeps from one stored draw to the next, where no other number is asked for.
+    """
+
+    walk_every: int = 2
+    path_share: float = 1.0
+    sweeps: int = 2
+
+
+_USUAL = Schedule()
 
 
 class TransportResult(NamedTuple):
@@ -153,12 +175,15 @@ class Transport:
         How theta' is proposed.
     sensors : tuple of tuple
         For each log: the sensor tables that the geometries were made from.
+    schedule : Schedule
+        How often which move is made.
     """
 
     references: tuple[Float, ...]
     geometries: tuple[tuple[Any, ...], ...]
     proposal: Proposal
     sensors: tuple[tuple[Any, ...], ...] = ()
+    schedule: Schedule = _USUAL
 
     def geometries_at(self, all_tables: Sequence[Tables]) -> list[tuple[Any, ...]]:
         """Return the linearised readings under some theta: sensors and maps may have moved with it."""
@@ -175,7 +200,13 @@ class Transport:
         ]
 
 
-def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal) -> Transport | None:
+def linearised_at(
+    bound: BoundModel,
+    theta: Float,
+    references: Sequence[Float],
+    proposal: Proposal,
+    schedule: Schedule = _USUAL,
+) -> Transport | None:
     """Linearise the model at some parameters and one reference trajectory for each log.
 
     Parameters
@@ -188,6 +219,8 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
         Reference trajectories.
     proposal : Proposal
         How theta' is proposed.
+    schedule : Schedule
+        How often which move is made.
 
     Returns
     -------
@@ -207,6 +240,7 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
         tuple(geometries),
         proposal,
         tuple(tables.sensors for tables in all_tables),
+        schedule,
     )
     factorisations = _factorisations(all_tables, transport.geometries, transport.references)
     return None if factorisations is None else transport
@@ -244,7 +278,7 @@ def transport_moves(
     scale: float,
     rng: np.random.Generator,
 ) -> TransportResult:
-    """Redraw the path block by block, then make transport moves: random walks and independent proposals in turn.
+    """Redraw the path block by block, then make transport moves: random walks and independent proposals.
 
     Parameters
     ----------
@@ -287,7 +321,7 @@ def transport_moves(
     log_uniform = np.log(rng.random(n_moves))
     proposed, accepted = [0, 0], [0, 0]
     for move in range(n_moves):
-        kind = move % 2 if proposal.centre is not None else _WALK
+        kind = _JUMP if proposal.centre is not None and move % transport.schedule.walk_every else _WALK
         proposed[kind] += 1
         log_forward = log_back = 0.0
         if kind == _JUMP and proposal.centre is not None and proposal.spread is not None:
