@@ -320,13 +320,15 @@ def transport_moves(
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
     proposed, accepted = [0, 0], [0, 0]
+    log_here: float | None = None  # the independent proposal's density at u, once it is needed
     for move in range(n_moves):
         kind = _JUMP if proposal.centre is not None and move % transport.schedule.walk_every else _WALK
         proposed[kind] += 1
         log_forward = log_back = 0.0
         if kind == _JUMP and proposal.centre is not None and proposal.spread is not None:
             u_new = proposal.centre + stretch[move] * (proposal.spread @ normal[move])
-            log_forward, log_back = proposal.log_density(u_new), proposal.log_density(u)
+            log_here = proposal.log_density(u) if log_here is None else log_here
+            log_forward, log_back = proposal.log_density(u_new), log_here
         else:
             u_new = u + scale * (proposal.root @ normal[move])
         theta_new, log_jacobian = transform.from_line(u_new)
@@ -353,6 +355,7 @@ def transport_moves(
         if log_uniform[move] < value - current + log_back - log_forward:
             accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
+            log_here = log_forward if kind == _JUMP else None
             paths = [trial.path for trial in trials]
             factorisations = [trial.factorisation for trial in trials]
     walk_rate, jump_rate = (
