@@ -209,15 +209,21 @@ def test_sweeps_without_an_estimate_say_nothing_about_lost_chains(rng, caplog):
 
 
 @pytest.mark.parametrize(
-    ("jumps", "blocks", "easy"), [(0.6, 0.9, True), (0.3, 0.9, False), (0.6, 0.1, False), (np.nan, np.nan, False)]
+    ("jumps", "blocks", "schedule"),
+    [
+        (0.6, 0.9, Schedule(walk_every=6, path_share=0.2, sweeps=1)),
+        (0.3, 0.9, Schedule(walk_every=6)),
+        (0.6, 0.1, Schedule(walk_every=6)),
+        (0.05, 0.9, Schedule()),
+        (np.nan, np.nan, Schedule()),
+    ],
 )
-def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, easy):
+def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, schedule):
     """Only the window counts, and sweeps that made no such move do not."""
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, blocks
     rates["transport_jump_rate"][15] = np.nan
-    found = tuned_schedule(_Finished(rates))
-    assert found == (Schedule(walk_every=6, path_share=0.2, sweeps=1) if easy else Schedule())
+    assert tuned_schedule(_Finished(rates)) == schedule
 
 
 def test_a_chain_that_could_not_include_all_rows_is_lost(rng):
