@@ -8,8 +8,9 @@ a deterministic bijection, so the move leaves the exact, nonlinear posterior unc
 decides only how often it is accepted.
 
 Because the path is nearly Gaussian given theta, such a move is accepted almost as one on the marginal posterior of
-theta would be. So two kinds of proposals alternate: random walks, which work from anywhere, and independent draws
-from a multivariate t fitted during burn-in, which are accepted more often than not and forget the past at once.
+theta would be. So there are two kinds of proposals: random walks, which work from anywhere, and independent draws
+from a multivariate t fitted during burn-in, which are mostly accepted more often than not and forget the past at once.
+How many there are of each, and how often particles draw the path besides, is the :class:`Schedule`.
 
 Before them the path is redrawn block by block from the linearised model, each block accepted or refused by itself.
 Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
