@@ -127,7 +127,7 @@ CALIBRATE = {
 PARTICLE_GIBBS = {
     "kernel": one_of("conditional", "smoothing"), "particles": optional(whole(2)), "metropolis_steps": whole(1),
     "transport_moves": optional(whole(0)), "data_rate": optional(whole(1)), "burn_in_particles": whole(2),
-    "settling_sweeps": whole(1), "sweeps_per_draw": whole(1),
+    "settling_sweeps": whole(1), "sweeps_per_draw": optional(whole(1)),
     "tuning_sweeps": lambda value: isinstance(value, tuple) and not value,
 }  # fmt: skip
 ENSEMBLE = {"particles": optional(whole(2)), "burn_in": optional(whole(1))}
@@ -160,7 +160,7 @@ SIMULATE = {
 }  # fmt: skip
 MOVE = {
     "bound": nothing, "kernel": one_of("conditional", "smoothing"), "particles": whole(2), "metropolis_steps": whole(0),
-    "transport_moves": whole(0), "sweeps": whole(1), "data_rate": whole(0), "gain": real(0.0, 1.0),
+    "transport_moves": whole(0), "sweeps": optional(whole(1)), "data_rate": whole(0), "gain": real(0.0, 1.0),
 }  # fmt: skip
 PARAMETER = {
     "name": lambda value: isinstance(value, str) and bool(value), "unit": lambda value: isinstance(value, str),

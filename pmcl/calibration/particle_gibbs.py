@@ -64,8 +64,8 @@ class ParticleGibbs(CalibrationMethod):
         Sweeps with all data before tuning.
     tuning_sweeps : tuple of int
         Sweeps of each round of tuning.
-    sweeps_per_draw : int
-        Sweeps from one stored draw to the next.
+    sweeps_per_draw : int, optional
+        Sweeps from one stored draw to the next; when left out 2, and 1 where transport moves are easily accepted.
 
     References
     ----------
@@ -117,7 +117,12 @@ class ParticleGibbs(CalibrationMethod):
     )
     settling_sweeps: int = setting(20, "Sweeps of burn-in with all rows before tuning.", least=1)
     tuning_sweeps: tuple[int, ...] = setting((60, 80, 120), "Sweeps of each round of tuning.", kind=tuple, least=1)
-    sweeps_per_draw: int = setting(2, "Sweeps from one stored draw to the next.", least=1)
+    sweeps_per_draw: int | None = setting(
+        None,
+        "Sweeps from one stored draw to the next.",
+        least=1,
+        otherwise="2, or 1 where transport moves are easily accepted",
+    )
 
     @property
     def usual_particles(self) -> int:

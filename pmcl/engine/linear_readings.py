@@ -18,17 +18,20 @@ from pmcl.engine.tables import NoExtras
 
 __all__ = [
     "BEARING",
+    "NOTHING",
     "RANGE",
     "SIZE",
     "LinearExtras",
     "LinearReadings",
     "add_information",
     "add_linear_extras",
+    "add_sums",
     "empty_readings",
     "inlier_share",
     "pack_readings",
     "same_fields",
     "times_of",
+    "with_reading",
 ]
 
 Float = NDArray[np.float64]
@@ -136,6 +139,39 @@ def inlier_share(log_inlier: Float, outlier_weight: Float, log_outlier: Float | 
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(outlier_weight) - np.log1p(-outlier_weight) + log_outlier - log_inlier
         return np.asarray(1.0 / (1.0 + np.exp(odds)))
+
+
+NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""The sums of :func:`with_reading` before any reading."""
+
+
+@kernel
+def with_reading(sums, jacobian, k, scale, weight, residual):
+    """Return the sums of a row's readings with one more, as :func:`add_information` would add it.
+
+    Sums in registers do not wait for memory from reading to reading; :func:`add_sums` adds them once.
+    """
+    s0, s1, s2, p00, p10, p11, p20, p21, p22 = sums
+    j0, j1, j2 = scale * jacobian[k, 0], scale * jacobian[k, 1], scale * jacobian[k, 2]
+    w0, w1, w2 = weight * j0, weight * j1, weight * j2
+    return (
+        s0 + w0 * residual, s1 + w1 * residual, s2 + w2 * residual,
+        p00 + w0 * j0, p10 + w1 * j0, p11 + w1 * j1, p20 + w2 * j0, p21 + w2 * j1, p22 + w2 * j2,
+    )  # fmt: skip
+
+
+@kernel
+def add_sums(sums, precision, shift):
+    """Add the sums of a row's readings to its precision (its lower triangle) and shift."""
+    shift[0] += sums[0]
+    shift[1] += sums[1]
+    shift[2] += sums[2]
+    precision[0, 0] += sums[3]
+    precision[1, 0] += sums[4]
+    precision[1, 1] += sums[5]
+    precision[2, 0] += sums[6]
+    precision[2, 1] += sums[7]
+    precision[2, 2] += sums[8]
 
 
 @kernel

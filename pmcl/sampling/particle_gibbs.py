@@ -20,8 +20,8 @@ from pmcl.sampling.session import check_run_memory, collected, run_session
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.state import SweepInfo, into_blob
 from pmcl.sampling.sweep import ChainStart, start_chain
-from pmcl.sampling.transport import Transport
-from pmcl.sampling.tuning import lost_chains, restarted, tuned_transports
+from pmcl.sampling.transport import Schedule, Transport
+from pmcl.sampling.tuning import lost_chains, restarted, tuned_schedule, tuned_transports
 
 __all__ = ["run_particle_gibbs"]
 
@@ -59,6 +59,7 @@ def run_particle_gibbs(
     longest = max(bound.lengths)
     check_run_memory(bound, options.chains, max(stage.settings.particles for stage in stages), options)
     transports: list[Transport | None] | None = None
+    schedule = Schedule()
     restarts = 0
     # Of each chain: the chain whose beginning it has, and how many sweeps were dead before the stage that follows.
     origins, dead_before = np.arange(options.chains), np.zeros(options.chains, dtype=np.int64)
@@ -81,6 +82,8 @@ def run_particle_gibbs(
             source = np.array([lost.get(k, k) for k in range(options.chains)])
             origins = origins[source]
             dead_before = backend.get_blobs()["failed_updates"][-1][source]
+            if stages[-1].settings.transport_moves:
+                schedule = tuned_schedule(backend)
             if following.complete:  # no later stage needs what this one would be used for
                 continue
             state = restarted(state, lost)
@@ -90,7 +93,9 @@ def run_particle_gibbs(
                     _logger.warning(
                         "the model offers no usable linearisation at the mean trajectory: no transport moves"
                     )
+    sweeps = stages[-1].settings.sweeps
     outcome: dict[str, SettingValue] = {
+        "sweeps_per_draw": sweeps if sweeps is not None else schedule.sweeps,
         "restarted_chains": restarts,
         "impossible_starts": impossible,
         "chain_origins": " ".join(map(str, origins)),

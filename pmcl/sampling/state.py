@@ -48,6 +48,8 @@ class ChainState(NamedTuple):
 class SweepInfo(NamedTuple):
     """How a sweep went; for several sweeps, the mean. The names are those of ArviZ's group ``sample_stats``.
 
+    What a sweep did not do is NaN; the mean is over the sweeps that did it.
+
     Attributes
     ----------
     acceptance_rate : ndarray, shape (d,)
@@ -77,11 +79,17 @@ _WHOLE_NUMBERS = ("rows", "failed_updates")
 
 
 def mean_info(infos: list[SweepInfo]) -> SweepInfo:
-    """Return the mean of each field over several sweeps."""
+    """Return the mean of each field over those of several sweeps that have it; NaN where none has."""
     if len(infos) == 1:
         return infos[0]
-    first, *others = (np.mean(values, axis=0) for values in zip(*infos, strict=True))
-    return SweepInfo(np.asarray(first), *(float(value) for value in others))
+    first, *others = (_known_mean(np.array(values)) for values in zip(*infos, strict=True))
+    return SweepInfo(first, *(float(value) for value in others))
+
+
+def _known_mean(values: Float) -> Float:
+    known = ~np.isnan(values)
+    count = known.sum(axis=0)
+    return np.where(count, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
 def state_dimension(bound: BoundModel) -> int:

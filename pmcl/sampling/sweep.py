@@ -20,7 +20,7 @@ from pmcl.models.tables import Tables
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.state import ChainState, SweepInfo, mean_info, state_dimension
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Transport, transport_moves
+from pmcl.sampling.transport import Schedule, Transport, transport_moves
 
 __all__ = ["ChainStart", "SweepSettings", "included", "start_chain", "step"]
 
@@ -44,8 +44,8 @@ class SweepSettings:
         Rounds of one-dimensional updates per trajectory update (the paper's m).
     transport_moves : int
         Transport moves per sweep; they need a linearisation.
-    sweeps : int
-        Sweeps per emcee step, that is per stored draw.
+    sweeps : int, optional
+        Sweeps per emcee step, that is per stored draw; as many as the transport's schedule says when None.
     data_rate : int
         While data is being included, rows of each log that each sweep adds (the paper's r); 0: all rows at once.
     gain : float
@@ -56,7 +56,7 @@ class SweepSettings:
     particles: int = 25
     metropolis_steps: int = 5
     transport_moves: int = 6
-    sweeps: int = 1
+    sweeps: int | None = 1
     data_rate: int = 0
     gain: float = 0.0
 
@@ -65,7 +65,8 @@ class SweepSettings:
         check_choice("kernel", self.kernel, ("conditional", "smoothing"), error=SamplingError)
         check_whole("particles", self.particles, 2, error=SamplingError, advice="25 to 1000 are usual")
         for name, least in (("metropolis_steps", 0), ("transport_moves", 0), ("sweeps", 1), ("data_rate", 0)):
-            check_whole(name, getattr(self, name), least, error=SamplingError)
+            if name != "sweeps" or self.sweeps is not None:
+                check_whole(name, getattr(self, name), least, error=SamplingError)
         check_number("gain", self.gain, 0.0, 1.0, error=SamplingError, advice="0 freezes the steps")
 
 
@@ -177,10 +178,10 @@ def step(
     state: ChainState,
     seed: int,
 ) -> tuple[ChainState, SweepInfo]:
-    """Make ``settings.sweeps`` sweeps; a pure function of its arguments.
+    """Make the sweeps of one stored draw; a pure function of its arguments.
 
     Each sweep draws the trajectories given the current theta, then theta given the new trajectories, then moves both
-    together.
+    together. Where the transport's schedule says so, some sweeps only do the last.
 
     Parameters
     ----------
@@ -211,9 +212,10 @@ def step(
     """
     rng = make_rng(np.random.SeedSequence(seed))
     infos, before = [], state
+    schedule = transport.schedule if transport is not None else Schedule()
     try:
         with parameters_told(bound, before.theta, near=True):
-            for _ in range(settings.sweeps):
+            for _ in range(settings.sweeps if settings.sweeps is not None else schedule.sweeps):
                 state, info = _sweep(bound, settings, transport, transform, state, rng)
                 infos.append(info)
     except FilterError as error:
@@ -233,27 +235,30 @@ def _sweep(
     check_interrupt()
     all_rows = max(bound.lengths)
     rows = min(all_rows, state.rows + settings.data_rate) if settings.data_rate else all_rows
-    # New rows have no trajectory yet, so only the smoothing kernel can add them.
-    kernel: Kernel = settings.kernel if rows == state.rows else "smoothing"
+    theta, log_step, log_scale, failed_updates = state.theta, state.log_step, state.log_scale, state.failed_updates
     path = state.path.copy()
     paths = included(bound, path, rows)
-    tables = bound.tables(state.theta)
-    updates = [
-        update_path(table, log_path, len(log_path), settings.particles, rng, kernel)
-        for table, log_path in zip(tables, paths, strict=True)
-    ]
-    failed_updates = state.failed_updates
-    if not all(update.succeeded for update in updates):
-        # Every particle died in some log: keep the old trajectories and rows, count it, and let theta move on.
-        failed_updates += 1
-        rows, path = state.rows, state.path.copy()
-        paths = included(bound, path, rows)
-    theta, log_step, accepted = update_theta(
-        bound, state.theta, tables, paths, state.log_step, settings.metropolis_steps, settings.gain, rng
-    )
     tables = bound.tables(theta)
-    info, value = _sweep_info(updates, accepted), math.nan
-    log_scale = state.log_scale
+    info, value = _sweep_info([], np.full(bound.dimension, math.nan)), math.nan
+    moves = settings.transport_moves if transport is not None and rows == state.rows == all_rows else 0
+    share = transport.schedule.path_share if transport is not None and moves else 1.0
+    if share == 1.0 or rng.random() < share:
+        # New rows have no trajectory yet, so only the smoothing kernel can add them.
+        kernel: Kernel = settings.kernel if rows == state.rows else "smoothing"
+        updates = [
+            update_path(table, log_path, len(log_path), settings.particles, rng, kernel)
+            for table, log_path in zip(tables, paths, strict=True)
+        ]
+        if not all(update.succeeded for update in updates):
+            # Every particle died in some log: keep the old trajectories and rows, count it, and let theta move on.
+            failed_updates += 1
+            rows, path = state.rows, state.path.copy()
+            paths = included(bound, path, rows)
+        theta, log_step, accepted = update_theta(
+            bound, theta, tables, paths, log_step, settings.metropolis_steps, settings.gain, rng
+        )
+        tables = bound.tables(theta)
+        info = _sweep_info(updates, accepted)
     if transport is not None and settings.transport_moves > 0 and rows == all_rows:
         moved = transport_moves(
             bound, theta, tables, paths, transport, transform, settings.transport_moves, math.exp(log_scale), rng
@@ -282,13 +287,14 @@ def _log_joint(bound: BoundModel, theta: Float, tables: Sequence[Tables], paths:
 
 
 def _sweep_info(updates: Sequence[PathUpdate], acceptance_rate: Float) -> SweepInfo:
-    """Return the info of a sweep without transport moves, from the trajectory updates of its logs."""
+    """Return the info of a sweep without transport moves, from the trajectory updates of its logs if any was made."""
+    share = 1.0 / len(updates) if updates else math.nan
     return SweepInfo(
         acceptance_rate=acceptance_rate,
         transport_walk_acceptance_rate=math.nan,
         transport_jump_rate=math.nan,
         path_block_redraw_rate=math.nan,
-        log_evidence=math.fsum(update.log_evidence for update in updates),
-        particle_ess=math.fsum(update.effective_share for update in updates) / len(updates),
-        path_update_rate=math.fsum(update.changed_share for update in updates) / len(updates),
+        log_evidence=math.fsum(update.log_evidence for update in updates) if updates else math.nan,
+        particle_ess=math.fsum(update.effective_share for update in updates) * share,
+        path_update_rate=math.fsum(update.changed_share for update in updates) * share,
     )

@@ -8,8 +8,9 @@ a deterministic bijection, so the move leaves the exact, nonlinear posterior unc
 decides only how often it is accepted.
 
 Because the path is nearly Gaussian given theta, such a move is accepted almost as one on the marginal posterior of
-theta would be. So two kinds of proposals alternate: random walks, which work from anywhere, and independent draws
-from a multivariate t fitted during burn-in, which are accepted more often than not and forget the past at once.
+theta would be. So there are two kinds of proposals: random walks, which work from anywhere, and independent draws
+from a multivariate t fitted during burn-in, which are mostly accepted more often than not and forget the past at once.
+How many there are of each, and how often particles draw the path besides, is the :class:`Schedule`.
 
 Before them the path is redrawn block by block from the linearised model, each block accepted or refused by itself.
 Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
@@ -35,7 +36,7 @@ from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["Proposal", "Transport", "TransportResult", "linearised_at", "transport_moves"]
+__all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "transport_moves"]
 
 Float = NDArray[np.float64]
 
@@ -74,6 +75,28 @@ class Proposal:
         assert self.centre is not None
         z = self._whitening @ (u - self.centre)
         return -0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
+
+
+class Schedule(NamedTuple):
+    """What a sweep with transport moves is made of; frozen with the linearisation, as the chain's law demands.
+
+    Attributes
+    ----------
+    walk_every : int
+        Of so many proposals the first is a random walk, and the others are independent draws.
+    path_share : float
+        Probability that a sweep also draws the trajectories by particles, and theta given them. Every sweep redraws
+        them block by block, which suffices for most sweeps where blocks are accepted.
+    sweeps : int
+        Sweeps from one stored draw to the next, where no other number is asked for.
+    """
+
+    walk_every: int = 2
+    path_share: float = 1.0
+    sweeps: int = 2
+
+
+_USUAL = Schedule()
 
 
 class TransportResult(NamedTuple):
@@ -153,12 +176,15 @@ class Transport:
         How theta' is proposed.
     sensors : tuple of tuple
         For each log: the sensor tables that the geometries were made from.
+    schedule : Schedule
+        How often which move is made.
     """
 
     references: tuple[Float, ...]
     geometries: tuple[tuple[Any, ...], ...]
     proposal: Proposal
     sensors: tuple[tuple[Any, ...], ...] = ()
+    schedule: Schedule = _USUAL
 
     def geometries_at(self, all_tables: Sequence[Tables]) -> list[tuple[Any, ...]]:
         """Return the linearised readings under some theta: sensors and maps may have moved with it."""
@@ -175,7 +201,13 @@ class Transport:
         ]
 
 
-def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], proposal: Proposal) -> Transport | None:
+def linearised_at(
+    bound: BoundModel,
+    theta: Float,
+    references: Sequence[Float],
+    proposal: Proposal,
+    schedule: Schedule = _USUAL,
+) -> Transport | None:
     """Linearise the model at some parameters and one reference trajectory for each log.
 
     Parameters
@@ -188,6 +220,8 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
         Reference trajectories.
     proposal : Proposal
         How theta' is proposed.
+    schedule : Schedule
+        How often which move is made.
 
     Returns
     -------
@@ -207,6 +241,7 @@ def linearised_at(bound: BoundModel, theta: Float, references: Sequence[Float], 
         tuple(geometries),
         proposal,
         tuple(tables.sensors for tables in all_tables),
+        schedule,
     )
     factorisations = _factorisations(all_tables, transport.geometries, transport.references)
     return None if factorisations is None else transport
@@ -244,7 +279,7 @@ def transport_moves(
     scale: float,
     rng: np.random.Generator,
 ) -> TransportResult:
-    """Redraw the path block by block, then make transport moves: random walks and independent proposals in turn.
+    """Redraw the path block by block, then make transport moves: random walks and independent proposals.
 
     Parameters
     ----------
@@ -286,13 +321,15 @@ def transport_moves(
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
     proposed, accepted = [0, 0], [0, 0]
+    log_here: float | None = None  # the independent proposal's density at u, once it is needed
     for move in range(n_moves):
-        kind = move % 2 if proposal.centre is not None else _WALK
+        kind = _JUMP if proposal.centre is not None and move % transport.schedule.walk_every else _WALK
         proposed[kind] += 1
         log_forward = log_back = 0.0
         if kind == _JUMP and proposal.centre is not None and proposal.spread is not None:
             u_new = proposal.centre + stretch[move] * (proposal.spread @ normal[move])
-            log_forward, log_back = proposal.log_density(u_new), proposal.log_density(u)
+            log_here = proposal.log_density(u) if log_here is None else log_here
+            log_forward, log_back = proposal.log_density(u_new), log_here
         else:
             u_new = u + scale * (proposal.root @ normal[move])
         theta_new, log_jacobian = transform.from_line(u_new)
@@ -319,6 +356,7 @@ def transport_moves(
         if log_uniform[move] < value - current + log_back - log_forward:
             accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
+            log_here = log_forward if kind == _JUMP else None
             paths = [trial.path for trial in trials]
             factorisations = [trial.factorisation for trial in trials]
     walk_rate, jump_rate = (

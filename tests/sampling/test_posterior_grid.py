@@ -21,7 +21,7 @@ from oracles.sweeps import first_state, run_chain, run_chains
 from pmcl.filtering.particle_filter import make_rng, update_path
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.sweep import SweepSettings, step
-from pmcl.sampling.transport import Proposal, linearised_at
+from pmcl.sampling.transport import Proposal, Schedule, linearised_at
 
 T = 30
 # Biases that matter, in posterior standard deviations: of means, squares, the product, and of the score (whose own
@@ -70,12 +70,12 @@ def _deviations(bound, exact, made):
     return np.concatenate([z, z**2 - 1.0, product, _score(bound, thetas, paths)], axis=-1)
 
 
-def _off(bound, exact, settings, seeds, draws, *, transported=False, step=step):
+def _off(bound, exact, settings, seeds, draws, *, transported=False, step=step, schedule=Schedule()):  # noqa: B008
     transport = None
     if transported:
         root = np.linalg.cholesky([[0.1, -0.06], [-0.06, 0.1]])
         proposal = Proposal(1.5 * root, np.log([0.5, 0.45]), root)
-        transport = linearised_at(bound, np.array([0.5, 0.4]), [np.full((T, 1), 50.0)], proposal)
+        transport = linearised_at(bound, np.array([0.5, 0.4]), [np.full((T, 1), 50.0)], proposal, schedule)
     state = first_state(bound, np.array([0.5, 0.4]), np.full((T, 1), 50.0))
     _chain(bound, settings, transport, state, 2, step, 0)  # compiles here, not in each process
     deviations = _deviations(
@@ -97,6 +97,15 @@ def test_conditional_sweeps_have_the_exact_posterior(bound, exact, seeds, transp
     off, sharpness = _off(bound, exact, settings, seeds, 2200, transported=transported)
     # Without transport the chain mixes slowly: what can be seen is half as sharp again.
     assert sharpness.min() >= (SHARPNESS if transported else SHARPNESS / 1.6), sharpness.round(1)
+    assert np.abs(off).max() <= TOLERANCE, off.round(1)
+
+
+@pytest.mark.slow
+def test_sweeps_that_seldom_use_particles_have_it_too(bound, exact, seeds):
+    schedule = Schedule(walk_every=5, path_share=0.2)
+    settings = SweepSettings("conditional", 20, 3, 5)
+    off, sharpness = _off(bound, exact, settings, seeds, 2200, transported=True, schedule=schedule)
+    assert sharpness.min() >= SHARPNESS, sharpness.round(1)
     assert np.abs(off).max() <= TOLERANCE, off.round(1)
 
 

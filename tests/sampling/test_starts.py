@@ -20,7 +20,8 @@ from pmcl.sampling.options import RunOptions
 from pmcl.sampling.state import from_blob, into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain, step
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.tuning import lost_chains, restarted
+from pmcl.sampling.transport import Schedule
+from pmcl.sampling.tuning import lost_chains, restarted, tuned_schedule
 
 T = 12
 SHORT = ParticleGibbs(
@@ -196,6 +197,33 @@ def test_a_lost_chain_is_found_and_restarted_from_the_best(rng, caplog):
 def test_chains_that_scatter_are_not_lost(rng):
     evidence = rng.normal([-100.0, -110.0, -130.0, -95.0], 10.0, (20, 4))
     assert lost_chains(_Finished(_stage_blobs(evidence, T)), _tuning_stage(), T) == {}
+
+
+def test_sweeps_without_an_estimate_say_nothing_about_lost_chains(rng, caplog):
+    """Of chain 2 nothing is known; chain 1 is lost by the estimates that it has."""
+    evidence = rng.normal([-100.0, -900.0, -101.0, -102.0], 1.0, (20, 4))
+    evidence[rng.random((20, 4)) < 0.5] = np.nan
+    evidence[:, 2] = np.nan
+    assert list(lost_chains(_Finished(_stage_blobs(evidence, T)), _tuning_stage(), T)) == [1]
+    assert "chain 1 is lost: its log evidence lies" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("jumps", "blocks", "schedule"),
+    [
+        (0.6, 0.9, Schedule(walk_every=6, path_share=0.2, sweeps=1)),
+        (0.3, 0.9, Schedule(walk_every=6)),
+        (0.6, 0.1, Schedule(walk_every=6)),
+        (0.05, 0.9, Schedule()),
+        (np.nan, np.nan, Schedule()),
+    ],
+)
+def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, schedule):
+    """Only the window counts, and sweeps that made no such move do not."""
+    rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
+    rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, blocks
+    rates["transport_jump_rate"][15] = np.nan
+    assert tuned_schedule(_Finished(rates)) == schedule
 
 
 def test_a_chain_that_could_not_include_all_rows_is_lost(rng):

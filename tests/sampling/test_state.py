@@ -44,5 +44,13 @@ def test_the_info_of_several_sweeps_is_their_mean(rng):
     for name in SweepInfo._fields:
         np.testing.assert_allclose(getattr(mean, name), sum(getattr(info, name) for info in infos) / 3.0)
     assert mean_info(infos[:1]) is infos[0]
-    nothing = infos[0]._replace(transport_jump_rate=np.nan)
-    assert np.isnan(mean_info([nothing, infos[1]]).transport_jump_rate)
+
+
+def test_what_a_sweep_did_not_do_does_not_count(rng):
+    infos = [_info(rng) for _ in range(3)]
+    infos[0] = infos[0]._replace(transport_jump_rate=np.nan, acceptance_rate=np.array([np.nan, 0.5]))
+    mean = mean_info(infos)
+    assert mean.transport_jump_rate == np.mean([info.transport_jump_rate for info in infos[1:]])
+    np.testing.assert_allclose(mean.acceptance_rate[0], np.mean([info.acceptance_rate[0] for info in infos[1:]]))
+    np.testing.assert_allclose(mean.acceptance_rate[1], np.mean([info.acceptance_rate[1] for info in infos]))
+    assert np.isnan(mean_info([infos[0], infos[0]]).transport_jump_rate)

@@ -12,7 +12,8 @@ from oracles.monte_carlo import TOLERANCE, assert_agrees, off_by
 from oracles.random_walk_model import rail_log, rail_model
 
 from pmcl.engine.compile import entry
-from pmcl.filtering.kernels import linear
+from pmcl.engine.contract import state_size
+from pmcl.filtering.kernels import factorisation, linear
 from pmcl.filtering.kernels.linear import Factors, factorise, refresh_blocks, transport_trial
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.sampling.transforms import Unconstrained
@@ -32,6 +33,21 @@ def carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, n
     old, new = Factors(factor, gain, centre), Factors(new_factor, new_gain, new_centre)
     linear.carry(motion, path, reference, old, new, out, np.empty(size), size)
     return out
+
+
+@entry
+def eliminated(tables, linear_readings, reference, path, begin, stop, by_loops):
+    """Log determinant and factors of some rows, by the code for poses or by that for states of any size."""
+    n_steps, size = reference.shape[0], state_size(tables.motion)
+    factors = Factors(np.zeros((n_steps, 9)), np.zeros((n_steps, 9)), np.zeros((n_steps, 3)))
+    work = np.empty(48)
+    if by_loops:
+        value = factorisation._eliminate_any(
+            tables, linear_readings, reference, path, begin, stop, factors, work, size
+        )
+    else:
+        value = factorisation.eliminate(tables, linear_readings, reference, path, begin, stop, factors, work, size)
+    return value, factors.factor, factors.gain, factors.centre
 
 
 def _factors(bound, theta, transport):
@@ -83,6 +99,33 @@ def test_a_linear_model_is_moved_from_one_smoother_to_another(rail, rng):
     exact = kalman.log_evidence(kalman.linear_model(new_tables), *new)
     exact -= kalman.log_evidence(kalman.linear_model(tables), *theta)
     np.testing.assert_allclose(values, exact, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("begin", "stop"), [(0, 40), (0, 7), (7, 31), (31, 40), (12, 13)])
+def test_poses_are_eliminated_as_states_of_any_size_are(begin, stop, rng):
+    """Whole paths and blocks with one or two neighbours, of forty rows, so that the determinant's product is taken."""
+    log = amigobot_log(40, seed=6)
+    bound, reference = tight_model().bind(log), np.array(log.true_poses)
+    transport = _linearised(bound, THETA, reference)
+    path = reference + 0.05 * rng.standard_normal(reference.shape)
+    given = (bound.tables(THETA)[0], transport.geometries[0], reference, path, begin, stop)
+    poses, general = eliminated(*given, False), eliminated(*given, True)
+    assert poses[0] == pytest.approx(general[0], rel=1e-12)
+    lower = np.tril(np.ones((3, 3))).ravel() > 0.0  # the rest of a factor is undefined
+    rows = slice(begin, stop)
+    assert np.abs(general[3][rows]).max() > 1e-4
+    np.testing.assert_allclose(poses[1][rows][:, lower], general[1][rows][:, lower], rtol=1e-10, atol=1e-10)
+    for got, wanted in zip(poses[2:], general[2:], strict=True):
+        np.testing.assert_allclose(got[rows], wanted[rows], rtol=1e-10, atol=1e-12)
+
+
+def test_poses_without_enough_information_have_no_factorisation(amigobot):
+    bound, reference, transport = amigobot
+    tables = bound.tables(THETA)[0]
+    # Readings that take information away.
+    wrong = tuple(geometry._replace(weight=-1e6 * geometry.weight) for geometry in transport.geometries[0])
+    for by_loops in (False, True):
+        assert eliminated(tables, wrong, reference, reference, 0, 5, by_loops)[0] == -np.inf
 
 
 @pytest.mark.parametrize("which", ["rail", "amigobot"])

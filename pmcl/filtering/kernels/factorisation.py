@@ -85,6 +85,145 @@ def eliminate(tables, linear_readings, reference, path, begin, stop, factors, wo
     `factors` are filled. `size` must be the constant D: the small loops are then unrolled; matrices are flat for the
     same reason. Returns the log determinant.
     """
+    if size == 3:
+        return _eliminate_poses(tables, linear_readings, reference, path, begin, stop, factors, work)
+    return _eliminate_any(tables, linear_readings, reference, path, begin, stop, factors, work, size)
+
+
+@kernel
+def _solve_three(c, inverse, b):
+    """Return (C C^T)^-1 b for a factor `c` = (c10, c20, c21) with `inverse` diagonal."""
+    c10, c20, c21 = c
+    y0 = b[0] * inverse[0]
+    y1 = (b[1] - c10 * y0) * inverse[1]
+    y2 = (b[2] - c20 * y0 - c21 * y1) * inverse[2]
+    x2 = y2 * inverse[2]
+    x1 = (y1 - c21 * x2) * inverse[1]
+    return (y0 - c10 * x1 - c20 * x2) * inverse[0], x1, x2
+
+
+@kernel
+def _eliminate_poses(tables, linear_readings, reference, path, begin, stop, factors, work):
+    """Do what :func:`_eliminate_any` does for states of three components.
+
+    All numbers of a row are held in registers: loops over work arrays, of which the compiler cannot tell that they are
+    distinct, take three times as long.
+    """
+    n_steps = reference.shape[0]
+    jacobian, noise, information = work[0:9].reshape(3, 3), work[9:18].reshape(3, 3), work[18:27].reshape(3, 3)
+    offset, shift = work[36:39], work[39:42]
+    for i in range(3):
+        shift[i] = 0.0
+        for j in range(3):
+            information[i, j] = 0.0
+    if begin == 0:
+        linearise_start(tables.start, reference[0], information, shift)
+    else:
+        linearise_transition(tables.motion, begin, reference[begin - 1], reference[begin], jacobian, offset, noise)
+        for i in range(3):
+            for k in range(3):
+                offset[i] += jacobian[i, k] * (path[begin - 1, k] - reference[begin - 1, k])
+        for i in range(3):
+            for k in range(3):
+                information[i, k] = noise[i, k]
+                shift[i] += noise[i, k] * offset[k]
+    # a: the lower triangle of what is known of d[t], s: the shift.
+    a00, a10, a11 = information[0, 0], information[1, 0], information[1, 1]
+    a20, a21, a22 = information[2, 0], information[2, 1], information[2, 2]
+    s0, s1, s2 = shift[0], shift[1], shift[2]
+    log_determinant, determinant = 0.0, 1.0
+    for t in range(begin, stop):
+        for i in range(3):
+            shift[i] = 0.0
+            for j in range(3):
+                information[i, j] = 0.0
+        sum_information(tables.sensors, linear_readings, t, information, shift)
+        a00, a10, a11 = a00 + information[0, 0], a10 + information[1, 0], a11 + information[1, 1]
+        a20, a21, a22 = a20 + information[2, 0], a21 + information[2, 1], a22 + information[2, 2]
+        s0, s1, s2 = s0 + shift[0], s1 + shift[1], s2 + shift[2]
+        inner = t < stop - 1
+        n00 = n10 = n11 = n20 = n21 = n22 = 0.0
+        w00 = w01 = w02 = w10 = w11 = w12 = w20 = w21 = w22 = h0 = h1 = h2 = 0.0
+        if t < n_steps - 1:
+            linearise_transition(tables.motion, t + 1, reference[t], reference[t + 1], jacobian, offset, noise)
+            o0, o1, o2 = offset[0], offset[1], offset[2]
+            if not inner:
+                o0 -= path[stop, 0] - reference[stop, 0]
+                o1 -= path[stop, 1] - reference[stop, 1]
+                o2 -= path[stop, 2] - reference[stop, 2]
+            n00, n10, n11 = noise[0, 0], noise[1, 0], noise[1, 1]
+            n20, n21, n22 = noise[2, 0], noise[2, 1], noise[2, 2]
+            j00, j01, j02 = jacobian[0, 0], jacobian[0, 1], jacobian[0, 2]
+            j10, j11, j12 = jacobian[1, 0], jacobian[1, 1], jacobian[1, 2]
+            j20, j21, j22 = jacobian[2, 0], jacobian[2, 1], jacobian[2, 2]
+            # h: noise times offset, w: noise times jacobian.
+            h0 = n00 * o0 + n10 * o1 + n20 * o2
+            h1 = n10 * o0 + n11 * o1 + n21 * o2
+            h2 = n20 * o0 + n21 * o1 + n22 * o2
+            w00, w01 = n00 * j00 + n10 * j10 + n20 * j20, n00 * j01 + n10 * j11 + n20 * j21
+            w10, w11 = n10 * j00 + n11 * j10 + n21 * j20, n10 * j01 + n11 * j11 + n21 * j21
+            w20, w21 = n20 * j00 + n21 * j10 + n22 * j20, n20 * j01 + n21 * j11 + n22 * j21
+            w02, w12 = n00 * j02 + n10 * j12 + n20 * j22, n10 * j02 + n11 * j12 + n21 * j22
+            w22 = n20 * j02 + n21 * j12 + n22 * j22
+            # The precision of d[t]: what is known up to t, and the transition to t + 1.
+            s0 -= j00 * h0 + j10 * h1 + j20 * h2
+            s1 -= j01 * h0 + j11 * h1 + j21 * h2
+            s2 -= j02 * h0 + j12 * h1 + j22 * h2
+            a00 += j00 * w00 + j10 * w10 + j20 * w20
+            a10 += j01 * w00 + j11 * w10 + j21 * w20
+            a11 += j01 * w01 + j11 * w11 + j21 * w21
+            a20 += j02 * w00 + j12 * w10 + j22 * w20
+            a21 += j02 * w01 + j12 * w11 + j22 * w21
+            a22 += j02 * w02 + j12 * w12 + j22 * w22
+        if not a00 > 0.0:
+            return -np.inf
+        c00 = math.sqrt(a00)
+        i0 = 1.0 / c00
+        c10, c20 = a10 * i0, a20 * i0
+        rest = a11 - c10 * c10
+        if not rest > 0.0:
+            return -np.inf
+        c11 = math.sqrt(rest)
+        i1 = 1.0 / c11
+        c21 = (a21 - c20 * c10) * i1
+        rest = a22 - c20 * c20 - c21 * c21
+        if not rest > 0.0:
+            return -np.inf
+        c22 = math.sqrt(rest)
+        c, inverse = (c10, c20, c21), (i0, i1, 1.0 / c22)
+        # One logarithm serves many rows, as long as the product stays far from the ends of the numbers.
+        determinant *= c00 * c11 * c22
+        if not 1e-90 < determinant < 1e90:
+            log_determinant += math.log(determinant)
+            determinant = 1.0
+        factor, gain, centre = factors.factor[t], factors.gain[t], factors.centre[t]
+        factor[0], factor[3], factor[4] = c00, c10, c11
+        factor[6], factor[7], factor[8] = c20, c21, c22
+        x0, x1, x2 = _solve_three(c, inverse, (s0, s1, s2))
+        centre[0], centre[1], centre[2] = x0, x1, x2
+        if inner:
+            k00, k10, k20 = _solve_three(c, inverse, (w00, w01, w02))
+            k01, k11, k21 = _solve_three(c, inverse, (w10, w11, w12))
+            k02, k12, k22 = _solve_three(c, inverse, (w20, w21, w22))
+            gain[0], gain[1], gain[2] = k00, k01, k02
+            gain[3], gain[4], gain[5] = k10, k11, k12
+            gain[6], gain[7], gain[8] = k20, k21, k22
+            # Marginalise d[t]: what remains is the information about d[t + 1].
+            s0 = h0 + w00 * x0 + w01 * x1 + w02 * x2
+            s1 = h1 + w10 * x0 + w11 * x1 + w12 * x2
+            s2 = h2 + w20 * x0 + w21 * x1 + w22 * x2
+            a00 = n00 - (w00 * k00 + w01 * k10 + w02 * k20)
+            a10 = n10 - (w10 * k00 + w11 * k10 + w12 * k20)
+            a11 = n11 - (w10 * k01 + w11 * k11 + w12 * k21)
+            a20 = n20 - (w20 * k00 + w21 * k10 + w22 * k20)
+            a21 = n21 - (w20 * k01 + w21 * k11 + w22 * k21)
+            a22 = n22 - (w20 * k02 + w21 * k12 + w22 * k22)
+    return log_determinant + math.log(determinant)
+
+
+@kernel
+def _eliminate_any(tables, linear_readings, reference, path, begin, stop, factors, work, size):
+    """Do what :func:`eliminate` says for states of any size."""
     n_steps = reference.shape[0]
     square = size * size
     jacobian, noise, information = work[0:square], work[square : 2 * square], work[2 * square : 3 * square]

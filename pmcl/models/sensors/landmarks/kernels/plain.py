@@ -18,7 +18,7 @@ from pmcl.engine.contract import (
     reading_slots,
     scratch_rows,
 )
-from pmcl.engine.linear_readings import BEARING, RANGE, SIZE, add_information
+from pmcl.engine.linear_readings import BEARING, NOTHING, RANGE, SIZE, add_sums, with_reading
 from pmcl.engine.scalars import HALF_LOG_2PI, LOG_2PI, wrap_angle
 from pmcl.engine.tables import NoExtras
 from pmcl.engine.vector_math import atan2_into, exp_into, log_into, sincos_into, upper_tail_into
@@ -254,6 +254,7 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
 @linear_information.register(LandmarkSightings, NoExtras)
 def _linear_information(sensor, linear, t, precision, shift):
+    sums = NOTHING
     for k in range(linear.first[t], linear.first[t + 1]):
         j, kind = linear.channel[k], linear.kind[k]
         scale, expected, std = 1.0, linear.value[k], 1.0
@@ -272,7 +273,8 @@ def _linear_information(sensor, linear, t, precision, shift):
         if kind == BEARING:
             residual = wrap_angle(residual)
         weight = linear.weight[k] / (std * std)
-        add_information(linear.jacobian, k, scale, weight, residual, precision, shift)
+        sums = with_reading(sums, linear.jacobian, k, scale, weight, residual)
+    add_sums(sums, precision, shift)
 
 
 @entry

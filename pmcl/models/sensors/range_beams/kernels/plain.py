@@ -18,7 +18,7 @@ from pmcl.engine.contract import (
     reading_slots,
     scratch_rows,
 )
-from pmcl.engine.linear_readings import add_information
+from pmcl.engine.linear_readings import NOTHING, add_sums, with_reading
 from pmcl.engine.parameter_draws import is_shared, reading_logpdf_draws
 from pmcl.engine.scalars import HALF_LOG_2PI
 from pmcl.engine.student import log_normal_tail
@@ -197,12 +197,14 @@ def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
 
 @linear_information.register(RangeBeams, NoExtras)
 def _linear_information(sensor, linear, t, precision, shift):
+    sums = NOTHING
     for k in range(linear.first[t], linear.first[t + 1]):
         beam = linear.channel[k]
         scale = sensor.scale[beam]
         weight = linear.weight[k] / sensor.std[beam] ** 2
         residual = linear.reading[k] - (scale * linear.value[k] + sensor.bias[beam])
-        add_information(linear.jacobian, k, scale, weight, residual, precision, shift)
+        sums = with_reading(sums, linear.jacobian, k, scale, weight, residual)
+    add_sums(sums, precision, shift)
 
 
 @reading_logpdf_draws.register(RangeBeams, NoExtras)
