@@ -148,7 +148,7 @@ def _options(
     for name, number in (("draws", draws), ("chains", chains), ("trajectories", trajectories)):
         check_whole(name, number, 1, error=SamplingError)
     check_flag("resume", resume, error=SamplingError)
-    if not callable(progress):
+    if not callable(progress) or isinstance(progress, type):
         check_flag("progress", progress, error=SamplingError)
     if pool is not None and not callable(getattr(pool, "map", None)):
         raise SamplingError(f"expected pool with a method map, but got {type(pool).__name__}; leave it out for threads")

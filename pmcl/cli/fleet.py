@@ -18,6 +18,7 @@ from pmcl.cli.options import effects_option, map_option, output_folder, progress
 
 if TYPE_CHECKING:
     from pmcl.fleet.places import Place
+    from pmcl.fleet.result import FleetResult
     from pmcl.fleet.workflow import FleetRun
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.robot_model import RobotModel
@@ -56,6 +57,11 @@ def _new_folder(ctx: click.Context, param: click.Parameter, path: Path) -> Path:
 @click.option("--draws", type=_COUNT, default=defaults.DRAWS, show_default=True, help="Draws of each chain.")
 @click.option("--chains", type=_COUNT, default=defaults.CHAINS, show_default=True, help="Chains of each robot.")
 @seed_option()
+@click.option(
+    "--critic", is_flag=True,
+    help="Let the critic look at each robot, too, and keep what it says in FOLDER/ROBOT.critic.json. A file that "
+    "'pmcl criticize --json' wrote to this place is used in any case.",
+)  # fmt: skip
 @progress_option("Do not tell on stderr how far each robot is.")
 @click.pass_context
 def fleet(
@@ -71,28 +77,38 @@ def fleet(
     draws: int,
     chains: int,
     seed: int,
+    critic: bool,
     no_progress: bool,
     **method_settings: Any,
 ) -> None:
-    """Calibrate many robots, one log each, on the cores of this machine or on a Dask cluster.
+    """Calibrate many robots, one log each, on the cores of this machine or on a Dask cluster, and compare them.
 
-    What a robot's posterior says does not depend on where it was made: it is that of 'pmcl calibrate'. A robot that
-    cannot be calibrated is told at the end and stops no other. Exit status: 0 all is well, 2 some robots have no
-    posterior, 3 the chains of some have not converged, 4 all have, but the readings and the model of some disagree.
+    What a robot's posterior says does not depend on where it was made: it is that of 'pmcl calibrate'. The files
+    fleet.html and fleet.json in FOLDER tell mean and spread of each parameter over the robots, which robot stands out,
+    and what the critic found in most of them. A robot that cannot be calibrated is told at the end and stops no other.
+    Exit status: 0 all is well, 2 some robots have no posterior, 3 the chains of some have not converged, 4 all have,
+    but the readings and the model of some disagree.
     """
     chosen = chosen_method(ctx, method, method_settings)
     names = _names(ctx, logs, output)
 
+    from pmcl.fleet.critic_run import criticize_fleet
+    from pmcl.fleet.summary import summarize_fleet
     from pmcl.fleet.workflow import calibrate_fleet
+    from pmcl.reports.fleet_report import write_fleet_report
 
     on_interrupt(ctx, f"robots that are done, and checkpoints of others, are in {output}: the same command goes on")
     robot_logs, models = _inputs(names, map_file, model_file)
+    tell = _Lines(len(logs), show=not no_progress)
     with _place(scheduler, workers, len(logs)) as place:
         run = calibrate_fleet(
-            robot_logs, output, models, method=chosen, draws=draws, chains=chains, seed=seed, pool=place,
-            tell=_Lines(len(logs), show=not no_progress),
-        )  # fmt: skip
-    ctx.exit(_told(run, output))
+            robot_logs, output, models, method=chosen, draws=draws, chains=chains, seed=seed, pool=place, tell=tell
+        )
+        findings, errors = criticize_fleet(robot_logs, output, models, place, tell, run=critic, seed=seed)
+    result = summarize_fleet(run, findings, errors)
+    result.write(output / "fleet.json")
+    write_fleet_report(result, output / "fleet.html")
+    ctx.exit(_told(run, result, output))
 
 
 def _names(ctx: click.Context, logs: tuple[str, ...], output: Path) -> dict[str, str]:
@@ -155,19 +171,19 @@ class _Lines:
             click.echo(f"{name}: {message}{count}", err=True)
 
 
-def _told(run: FleetRun, folder: Path) -> int:
-    """Print one line for each robot; return the exit status."""
-    from pmcl.posterior.diagnostics import verdict
-    from pmcl.posterior.files import read_posterior
-
+def _told(run: FleetRun, result: FleetResult, folder: Path) -> int:
+    """Print one line for each robot, and what there is to say of all; return the exit status."""
     if run.skipped:
         click.echo(f"there already: {', '.join(run.skipped)}", err=True)
     states = {BAD_INPUT} if run.errors else set()
-    for name, file in run.posteriors.items():
-        judged = verdict(read_posterior(file))
-        click.echo(f"{name}: {judged.message}")
-        states.add(0 if judged.good else NOT_CONVERGED if not judged.converged else DOES_NOT_FIT)
+    for robot in result.robots:
+        if robot.posterior:
+            click.echo(f"{robot.name}: {robot.message}")
+            states.add(NOT_CONVERGED if not robot.converged else DOES_NOT_FIT if robot.adequate is False else 0)
+    for sentence in result.sentences():
+        click.echo(sentence)
     for name, error in run.errors.items():
         click.echo(f"pmcl: error: {name}: {error}", err=True)
     click.echo(f"posteriors: {folder}")
+    click.echo(f"report: {folder / 'fleet.html'}")
     return next((state for state in (BAD_INPUT, NOT_CONVERGED, DOES_NOT_FIT) if state in states), 0)

@@ -92,13 +92,13 @@ class RobotRun:
 
 
 class _Reporter:
-    """Tells every few seconds how far a run is."""
+    """Tells every few seconds how far a run is, and where each stage begins and ends."""
 
     def __init__(self, name: str, tell: Tell) -> None:
         self.name, self.tell, self.due = name, tell, 0.0
 
     def __call__(self, stage: str, step: int, steps: int) -> None:
         now = time.monotonic()
-        if now >= self.due or step == steps:
+        if now >= self.due or step in (1, steps):
             self.due = now + _PAUSE
             self.tell(self.name, f"{stage} {step}/{steps}")

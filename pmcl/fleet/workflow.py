@@ -19,7 +19,8 @@ from pmcl.fleet.places import Job, Place, Tell, as_place, silent
 from pmcl.fleet.robot_run import RobotRun, packed
 from pmcl.interrupts import stopping_on_interrupt
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.robot_model import RobotModel, default_model, log_sequence
+from pmcl.models.parameters import Parameter
+from pmcl.models.robot_model import BoundModel, RobotModel, default_model, log_sequence
 from pmcl.preflight.check import require_rows
 from pmcl.sampling.checkpoint import fingerprint
 from pmcl.sampling.options import RunOptions
@@ -38,6 +39,8 @@ class FleetRun:
     ----------
     posteriors : mapping of str to Path
         The posterior's file of each robot that has one, in the order of the logs.
+    parameters : mapping of str to sequence of Parameter
+        Of every robot, with the priors of its calibration.
     skipped : tuple of str
         Robots whose posterior was there before.
     errors : mapping of str to str
@@ -45,6 +48,7 @@ class FleetRun:
     """
 
     posteriors: Mapping[str, Path]
+    parameters: Mapping[str, Sequence[Parameter]]
     skipped: tuple[str, ...] = ()
     errors: Mapping[str, str] = field(default_factory=dict)
 
@@ -112,14 +116,16 @@ def calibrate_fleet(
     record = method.record(RunOptions(draws=draws, chains=chains, seed=seed, trajectories=trajectories))
     place = as_place(pool)
     inputs = {name: (log_sequence(of_robot), _model_of(name, model)) for name, of_robot in logs.items()}
-    keys = {name: _key(*of_robot, seed, record) for name, of_robot in inputs.items()}
+    bound = {name: _bound(*of_robot, seed) for name, of_robot in inputs.items()}
+    keys = {name: fingerprint(of_robot, record) for name, of_robot in bound.items()}
     with only_fleet(Path(folder)) as shared:
         finished = tuple(name for name in logs if is_finished(Path(folder), name, keys[name]))
         left = {name: of_robot for name, of_robot in inputs.items() if name not in finished}
         jobs = [Job(name, _run(name, left, keys[name], settings, shared, place)) for name in left]
         errors = _calibrated(jobs, Path(folder), place, tell)
     posteriors = {name: posterior_file(Path(folder), name) for name in logs if name not in errors}
-    return FleetRun(posteriors, finished, {name: errors[name] for name in logs if name in errors})
+    parameters = {name: of_robot.parameters for name, of_robot in bound.items()}
+    return FleetRun(posteriors, parameters, finished, {name: errors[name] for name in logs if name in errors})
 
 
 def _calibrated(jobs: Sequence[Job], folder: Path, place: Place, tell: Tell) -> dict[str, str]:
@@ -160,9 +166,9 @@ def _model_of(name: str, model: RobotModel | Mapping[str, RobotModel] | None) ->
     return found
 
 
-def _key(logs: Sequence[RobotLog], model: RobotModel | None, seed: int, record: Mapping[str, Any]) -> str:
-    """Check that model and logs fit, and return the mark of the run."""
+def _bound(logs: Sequence[RobotLog], model: RobotModel | None, seed: int) -> BoundModel:
+    """Check that model and logs fit."""
     for log in logs:
         require_rows(log)
     model = default_model(logs[0]) if model is None else model
-    return fingerprint(model.bind([with_estimated_path(log, model, seed=seed) for log in logs]), record)
+    return model.bind([with_estimated_path(log, model, seed=seed) for log in logs])

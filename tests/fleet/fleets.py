@@ -15,7 +15,7 @@ from pmcl.simulations.amigobot import simulate_amigobot
 
 # As short as a run can be that has all its stages.
 SHORT = {
-    "method": ParticleGibbs(particles=5, burn_in_particles=40),
+    "method": ParticleGibbs(sweeps_per_draw=1).shortest(),
     "draws": 15,
     "chains": 2,
     "trajectories": 5,
