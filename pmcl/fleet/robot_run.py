@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import time
 from collections.abc import Mapping, Sequence
@@ -83,9 +84,10 @@ class RobotRun:
         model: RobotModel | None
         logs, model = self.inputs.unpacked()
         checkpoint = self.folder.checkpoint(self.name)
+        begun = checkpoint is not None and os.path.exists(checkpoint)
         with walker_threads(self.threads) as pool:
             data = calibrate(
-                logs, model, pool=pool, checkpoint=checkpoint, resume=checkpoint is not None,
+                logs, model, pool=pool, checkpoint=checkpoint, resume=begun,
                 progress=_Reporter(self.name, tell), **self.settings,
             )  # fmt: skip
         return marked_bytes(data, self.key)
