@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from pmcl.fleet.places import Job, Place, Tell
 from pmcl.fleet.robot_run import Packed, packed
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.carried import carried_effects
+from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
 from pmcl.models.robot_model import RobotModel
 from pmcl.whole_file import write_whole
@@ -56,14 +57,20 @@ def findings_file(folder: Path, name: str) -> Path:
     return folder / f"{name}.critic.json"
 
 
-def criticize_elsewhere(place: Place, log: RobotLog, model: RobotModel | None, **settings: Any) -> Criticism:
+def criticize_elsewhere(
+    place: Place,
+    log: RobotLog,
+    model: RobotModel | None = None,
+    effects: Sequence[Effect] | None = None,
+    **settings: Any,
+) -> Criticism:
     """Run the critic in another place.
 
     Parameters
     ----------
     place : Place
         Such as a cluster.
-    log, model, **settings
+    log, model, effects, **settings
         As for :func:`pmcl.criticism.workflow.criticize`.
 
     Returns
@@ -75,7 +82,7 @@ def criticize_elsewhere(place: Place, log: RobotLog, model: RobotModel | None, *
     CriticismError
         When the critic fails there; the message says why.
     """
-    run = CriticRun("log", _packed(log, model), settings, as_text=False)
+    run = CriticRun("log", _packed(log, model, effects), settings, as_text=False)
     (done,) = place.run([Job("log", run)], lambda name, message: None)
     if done.error:
         raise CriticismError(done.error)
@@ -128,7 +135,12 @@ def criticize_fleet(
     if run:
         threads = max(1, place.slots // len(logs))
         jobs = [
-            Job(name, CriticRun(name, _packed(log, models and models[name]), {**settings, "workers": threads}, True))
+            Job(
+                name,
+                CriticRun(
+                    name, _packed(log, None if models is None else models[name]), {**settings, "workers": threads}, True
+                ),
+            )
             for name, log in logs.items()
             if not findings_file(folder, name).exists()
         ]
@@ -143,6 +155,8 @@ def criticize_fleet(
     return found, errors
 
 
-def _packed(log: RobotLog, model: RobotModel | None) -> Packed:
+def _packed(log: RobotLog, model: RobotModel | None, effects: Sequence[Effect] | None = None) -> Packed:
     # The catalogue is known everywhere, effects of the user's files are not.
-    return packed(log, model, candidates(log) if carried_effects() else None)
+    if effects is None and carried_effects():
+        effects = candidates(log)
+    return packed(log, model, effects)

@@ -54,7 +54,7 @@ class Line:
 
     def to_line(self, theta: Float) -> Float:
         """Return places on the line for values of the parameter, both of any shape."""
-        return self._transform.to_line(np.asarray(theta, dtype=float)[..., None])[..., 0]
+        return np.asarray(self._transform.to_line(np.asarray(theta, dtype=float)[..., None])[..., 0])
 
     def from_line(self, u: Float) -> Float:
         """Undo :meth:`to_line`."""

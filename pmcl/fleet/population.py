@@ -195,4 +195,4 @@ def _quantiles(values: Float, weights: Float, probabilities: Sequence[float]) ->
     # The distribution function is smooth between the few edges that it is known at.
     below = PchipInterpolator(edges, np.concatenate([[0.0], np.cumsum(mass)]))
     places = np.linspace(edges[0], edges[-1], _PLACES)
-    return np.interp(np.asarray(probabilities), below(places), places)
+    return np.asarray(np.interp(np.asarray(probabilities), below(places), places))

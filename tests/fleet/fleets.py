@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,3 +68,11 @@ class KilledAtFirst:
                 mark.touch()
                 os.kill(os.getpid(), signal.SIGKILL)
         return "alive"
+
+
+class Parcels:
+    """A pool whose work passes through bytes both ways, as between machines, but stays in this process."""
+
+    def map(self, function, items):
+        parcel = pickle.dumps(function)
+        return [pickle.loads(pickle.dumps(pickle.loads(parcel)(pickle.loads(pickle.dumps(item))))) for item in items]
