@@ -142,7 +142,7 @@ LOCALIZE = {
     "theta": optional(lambda value: isinstance(value, dict) and value in ({}, {"sigma_range": 0.1})),
     "particles": whole(2, FEW), "seed": seed, "options": none,
 }  # fmt: skip
-MANY = LOCALIZE | {"repetitions": whole(1, FEW), "threads": optional(whole(1))}
+MANY = LOCALIZE | {"repetitions": whole(1, FEW), "threads": optional(whole(1)), "pool": none}
 ONLINE = {name: right for name, right in LOCALIZE.items() if name != "log"} | {"robot": nothing, "memory": whole(3)}
 OPTIONS = {
     "draws": optional(whole(1)), "draws_per_reading": optional(whole(1)), "scheme": nothing,

@@ -23,7 +23,7 @@ from pmcl.posterior.predictive_check import checked
 from pmcl.posterior.rehearsal import rehearse
 from pmcl.preflight.check import checked_logs, require_rows
 from pmcl.sampling.chains import Chains, PointEstimate
-from pmcl.sampling.options import RunOptions
+from pmcl.sampling.options import Progress, RunOptions
 
 __all__ = ["calibrate"]
 
@@ -40,7 +40,7 @@ def calibrate(
     pool: Any = None,
     checkpoint: str | os.PathLike[str] | None = None,
     resume: bool = False,
-    progress: bool = False,
+    progress: Progress = False,
     check: bool = True,
 ) -> Posterior:
     """Draw from the posterior of a robot's noise parameters, given what it logged.
@@ -61,14 +61,17 @@ def calibrate(
     seed : int
         The result is a function of it, whatever the pool.
     pool : object with a `map` method, optional
-        Runs the chains of each step: threads on all cores when left out; processes, MPI or Dask pools work too.
+        Runs the chains of each step: threads on all cores when left out. Any executor of :mod:`concurrent.futures`, a
+        pool of processes or MPI, or a ``dask.distributed`` client. Each step sends the model and its logs to other
+        processes; to use a cluster well, run whole logs there (:func:`pmcl.fleet.workflow.calibrate_fleet`).
     checkpoint : path, optional
         HDF5 file to which the run is written every few seconds, and when an error or Ctrl-C ends it. It stays when
         the run is done.
     resume : bool
         Continue the checkpoint, if it is there; the result is identical to that of an uninterrupted run.
-    progress : bool
-        Show progress bars.
+    progress : bool or callable
+        Show progress bars; or a function that is called after each step of the chains with the name of the stage, its
+        steps so far, and all its steps.
     check : bool
         Whether to end with a check of the calibrated model on its own logs, which takes seconds, and to keep its
         predictions; without it the verdict is about convergence only.
@@ -139,13 +142,14 @@ def _options(
     pool: Any,
     checkpoint: str | os.PathLike[str] | None,
     resume: bool,
-    progress: bool,
+    progress: Progress,
 ) -> RunOptions:
     """Check the arguments of :func:`calibrate` that are the same for all methods."""
     for name, number in (("draws", draws), ("chains", chains), ("trajectories", trajectories)):
         check_whole(name, number, 1, error=SamplingError)
-    for name, flag in (("resume", resume), ("progress", progress)):
-        check_flag(name, flag, error=SamplingError)
+    check_flag("resume", resume, error=SamplingError)
+    if not callable(progress) or isinstance(progress, type):
+        check_flag("progress", progress, error=SamplingError)
     if pool is not None and not callable(getattr(pool, "map", None)):
         raise SamplingError(f"expected pool with a method map, but got {type(pool).__name__}; leave it out for threads")
     if checkpoint is not None:

@@ -17,7 +17,7 @@ import click
 
 from pmcl.errors import PmclError, one_line
 
-__all__ = ["DOES_NOT_FIT", "INTERRUPTED", "NOT_CONVERGED", "Application", "on_interrupt"]
+__all__ = ["BAD_INPUT", "DOES_NOT_FIT", "INTERRUPTED", "NOT_CONVERGED", "Application", "on_interrupt"]
 
 BAD_INPUT, NOT_CONVERGED, DOES_NOT_FIT, INTERRUPTED = 2, 3, 4, 130
 _ON_INTERRUPT = "pmcl.on_interrupt"

@@ -14,6 +14,7 @@ from pmcl.cli.demo import demo
 from pmcl.cli.effects import effects
 from pmcl.cli.example import example
 from pmcl.cli.export import export
+from pmcl.cli.fleet import fleet
 from pmcl.cli.identify import identify
 from pmcl.cli.localize import localize
 from pmcl.cli.report import report
@@ -34,7 +35,7 @@ def pmcl() -> None:
 
 
 _COMMANDS = (
-    demo, simulate, convert, identify, calibrate, criticize, compare, localize, export, report, effects, example,
+    demo, simulate, convert, identify, calibrate, fleet, criticize, compare, localize, export, report, effects, example,
 )  # fmt: skip
 for command in _COMMANDS:
     pmcl.add_command(command)

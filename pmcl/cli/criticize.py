@@ -16,6 +16,7 @@ from pmcl.cli.options import (
     output_option,
     progress_option,
     protect_inputs,
+    scheduler_option,
     seed_option,
     writable_file,
 )
@@ -80,6 +81,7 @@ __all__ = ["criticize"]
 @click.option("--joint/--no-joint", default=True, show_default=True,
     help="Calibrate the final model with full chains, or with one longer chain (faster).",)
 @seed_option()
+@scheduler_option()
 @progress_option("Do not tell on stderr what is being tried, how many candidates are left, and the time so far.")
 @click.pass_context
 def criticize(
@@ -93,6 +95,7 @@ def criticize(
     map_file: str | None,
     model_file: str | None,
     held_out_file: str | None,
+    scheduler: str | None,
     no_progress: bool,
     joint: bool,
     **settings: Any,
@@ -116,10 +119,15 @@ def criticize(
     robot_log = RobotLog.read(log, map_file)
     model = read_model(model_file, robot_log) if model_file is not None else None
     held_out = RobotLog.read(held_out_file, map_file) if held_out_file is not None else None
-    found = run(
-        robot_log, model, held_out=held_out, joint=joint, posterior=better_posterior is not None,
-        progress=not no_progress, **settings,
-    )  # fmt: skip
+    settings |= {"held_out": held_out, "joint": joint, "posterior": better_posterior is not None}
+    if scheduler is None:
+        found = run(robot_log, model, progress=not no_progress, **settings)
+    else:
+        from pmcl.fleet.cluster import cluster
+        from pmcl.fleet.critic_run import criticize_elsewhere
+
+        with cluster(scheduler) as place:
+            found = criticize_elsewhere(place, robot_log, model, **settings)
     commands = _next_commands(log, output, better_model, better_posterior, map_file)
     write_criticism_report(found, output, commands)
     if json_file is not None:

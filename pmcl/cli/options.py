@@ -19,6 +19,7 @@ __all__ = [
     "parameter_values",
     "progress_option",
     "protect_inputs",
+    "scheduler_option",
     "seed_option",
     "wants_progress",
     "writable_file",
@@ -133,6 +134,16 @@ def seed_option(default: int = 0) -> Callable[[Command], Command]:
     kind = click.IntRange(min=0)
     text = "Seed of all random numbers; the same seed gives the same result."
     return click.option("--seed", type=kind, default=default, show_default=True, help=text)
+
+
+def scheduler_option() -> Callable[[Command], Command]:
+    """Return the option ``--scheduler``."""
+    return click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Work on the cluster of this Dask scheduler, for example tcp://10.0.0.1:8786 (pip install 'pmcl[dask]').  "
+        "[default: on this machine]",
+    )
 
 
 def progress_option(

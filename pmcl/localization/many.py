@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,15 @@ from pmcl.localization.setup import Prepared, prepare
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import RobotModel
 from pmcl.posterior.compat import Posterior
+from pmcl.sampling.pool import as_pool
 
 __all__ = ["Runs", "localize_many", "run_seeds"]
 
 Float = NDArray[np.float64]
+
+# Parts into which runs are divided for a pool whose size is not known.
+_PARTS = 32
+_ARRAYS = ("pose_mean", "log_score", "effective_size", "lost_at", "position_error", "heading_error", "nees")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +111,7 @@ def localize_many(
     seed: int = 0,
     options: FilterOptions | None = None,
     threads: int | None = None,
+    pool: Any = None,
 ) -> Runs:
     """Run the filter over a log again and again, with other random numbers each time.
 
@@ -117,7 +124,11 @@ def localize_many(
     seed : int
         All randomness follows from it, whatever the number of threads.
     threads : int, optional
-        Number of threads; all cores when left out. The compiled filter does not hold the interpreter's lock.
+        Number of threads; all cores when left out. The compiled filter does not hold the interpreter's lock. Of another
+        pool, the number of parts into which the runs are divided; 32 when left out.
+    pool : object with a `map` method, optional
+        Makes the runs in place of threads: an executor of :mod:`concurrent.futures`, a ``dask.distributed`` client, or
+        any other pool. The filter is sent once with each part.
 
     Returns
     -------
@@ -132,26 +143,52 @@ def localize_many(
     repetitions = check_whole("repetitions", repetitions, 1, error=FilterError, advice="1000 are usual")
     if threads is not None:
         threads = check_whole("threads", threads, 1, error=FilterError, advice="leave it out to use all cores")
+    if pool is not None and not callable(getattr(pool, "map", None)):
+        raise FilterError(f"expected pool with a method map, but got {type(pool).__name__}; leave it out for threads")
     seed = check_seed(seed, error=FilterError)
     prepared = prepare(log, model, posterior, method, theta, particles, options)
     check_memory("the runs", 72.0 * repetitions * log.n_steps, error=FilterError, advice="ask for fewer repetitions")
     seeds = run_seeds(seed, repetitions)
-    n_steps = log.n_steps
     size = min(prepared.tracker.size, 3)
-    runs = Runs(
-        seeds,
-        np.full((repetitions, n_steps, size), np.nan),
-        np.full((repetitions, n_steps), np.nan),
-        np.full((repetitions, n_steps), np.nan),
-        np.full(repetitions, -1, dtype=np.int64),
-        *(np.full((repetitions, n_steps), np.nan) for _ in range(3)),
-    )
-    workers = min(threads or os.cpu_count() or 1, repetitions)
-    chunks = np.array_split(np.arange(repetitions), workers)
-    with ThreadPoolExecutor(workers) as pool:
-        for _ in pool.map(lambda chunk: _run_chunk(prepared, runs, chunk), chunks):
-            pass
+    runs = _empty_runs(seeds, log.n_steps, size)
+    parts = threads or (os.cpu_count() or 1 if pool is None else _PARTS)
+    chunks = np.array_split(np.arange(repetitions), min(parts, repetitions))
+    if pool is None:
+        with ThreadPoolExecutor(len(chunks)) as executor:
+            for _ in executor.map(lambda chunk: _run_chunk(prepared, runs, chunk), chunks):
+                pass
+        return runs
+    elsewhere = _Elsewhere(prepared, size)
+    parts_of_runs = as_pool(pool).map(elsewhere, [tuple(seeds[r] for r in chunk) for chunk in chunks])
+    for chunk, part in zip(chunks, parts_of_runs, strict=True):
+        for name in _ARRAYS:
+            getattr(runs, name)[chunk] = getattr(part, name)
     return runs
+
+
+def _empty_runs(seeds: tuple[int, ...], n_steps: int, size: int) -> Runs:
+    """Return runs with room for their numbers."""
+    shape = len(seeds), n_steps
+    return Runs(
+        seeds,
+        np.full((*shape, size), np.nan),
+        np.full(shape, np.nan),
+        np.full(shape, np.nan),
+        np.full(len(seeds), -1, dtype=np.int64),
+        *(np.full(shape, np.nan) for _ in range(3)),
+    )
+
+
+class _Elsewhere:
+    """Makes some runs in another process, given their seeds."""
+
+    def __init__(self, prepared: Prepared, size: int) -> None:
+        self.prepared, self.size = prepared, size
+
+    def __call__(self, seeds: tuple[int, ...]) -> Runs:
+        runs = _empty_runs(seeds, self.prepared.log.n_steps, self.size)
+        _run_chunk(self.prepared, runs, np.arange(len(seeds)))
+        return runs
 
 
 def _run_chunk(prepared: Prepared, runs: Runs, chunk: NDArray[np.int64]) -> None:

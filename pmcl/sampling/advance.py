@@ -100,6 +100,8 @@ class StageRunner:
                     state = after
                     now = stopwatch.step()
                     check_interrupt()
+                    if callable(self.session.progress):
+                        self.session.progress(name, int(backend.iteration), backend.steps)
                     if self.session.checkpoint is not None:
                         self.session.checkpoint.step_done()
                     all_included = pace is None or pace.step(state, begin, now)
@@ -117,7 +119,7 @@ class StageRunner:
         steps: Iterator[State] = self.sampler.sample(
             state,
             iterations=min(left, _BLOCK) if self.session.stopwatch.limit < np.inf else left,
-            progress=self.session.progress,
+            progress=self.session.progress is True,
             progress_kwargs={"desc": f"{name:<9}"},
             skip_initial_state_check=True,
         )

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from pmcl import defaults
 from pmcl.sampling.stopwatch import Stopwatch
 
-__all__ = ["RunOptions", "SettingValue"]
+__all__ = ["Progress", "RunOptions", "SettingValue"]
 
 SettingValue = str | int | float | bool
+Progress = bool | Callable[[str, int, int], None]
+"""Whether progress bars are shown, or who is told after each step: the stage's name, steps done, and steps in all."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,8 @@ class RunOptions:
         File to which the run is written every few seconds, and when an error or Ctrl-C ends it.
     resume : bool
         Whether an existing checkpoint is continued; the result is that of an uninterrupted run.
-    progress : bool
-        Whether progress bars are shown.
+    progress : bool or callable
+        See :data:`Progress`.
     stopwatch : Stopwatch, optional
         Notes the time of every step, and ends the run when its time is over; burn-in is shortened when it would take
         more than half of it. How many draws there are then depends on the machine. Not with a checkpoint.
@@ -50,7 +52,7 @@ class RunOptions:
     pool: Any = None
     checkpoint: str | None = None
     resume: bool = False
-    progress: bool = False
+    progress: Progress = False
     stopwatch: Stopwatch | None = None
     attributes: Mapping[str, SettingValue] = field(default_factory=dict)
 

@@ -1,4 +1,4 @@
-"""The threads that advance the walkers."""
+"""The threads, or the pool of the user, that advance the walkers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from pmcl.interrupts import check_interrupt
 
-__all__ = ["WalkerThreads", "walker_pool"]
+__all__ = ["WalkerThreads", "as_pool", "walker_pool", "walker_threads"]
 
 
 class WalkerThreads:
@@ -74,6 +74,45 @@ class WalkerThreads:
         return results
 
 
+def as_pool(pool: Any) -> Any:
+    """Return a pool whose `map` gives values: a Dask client's own gives futures, but the client has an executor.
+
+    Parameters
+    ----------
+    pool : object with a `map` method
+        An executor of :mod:`concurrent.futures`, a pool of :mod:`multiprocessing`, of MPI, or a ``dask.distributed``
+        client.
+
+    Returns
+    -------
+    object with a `map` method
+    """
+    executor = getattr(pool, "get_executor", None)
+    return executor() if callable(executor) else pool
+
+
+@contextmanager
+def walker_threads(threads: int, check: Callable[[], None] | None = None) -> Iterator[WalkerThreads]:
+    """Yield so many threads, of which the caller's is one.
+
+    Parameters
+    ----------
+    threads : int
+        At least 1.
+    check : callable, optional
+        Called before each item: it may raise.
+
+    Yields
+    ------
+    WalkerThreads
+    """
+    if threads == 1:
+        yield WalkerThreads(None, 0, check)
+        return
+    with ThreadPoolExecutor(threads - 1) as executor:
+        yield WalkerThreads(executor, threads - 1, check)
+
+
 @contextmanager
 def walker_pool(pool: Any, n_walkers: int, check: Callable[[], None] | None = None) -> Iterator[Any]:
     """Yield the pool that runs the walkers: the caller's own, or threads, as the kernels do not hold the lock.
@@ -93,11 +132,11 @@ def walker_pool(pool: Any, n_walkers: int, check: Callable[[], None] | None = No
         None when there is one processor and nothing to check.
     """
     if pool is not None:
-        yield pool
+        yield as_pool(pool)
         return
     threads = min(n_walkers, os.cpu_count() or 1)
-    if threads == 1:
-        yield None if check is None else WalkerThreads(None, 0, check)
+    if threads == 1 and check is None:
+        yield None
         return
-    with ThreadPoolExecutor(threads - 1) as executor:
-        yield WalkerThreads(executor, threads - 1, check)
+    with walker_threads(threads, check) as pool:
+        yield pool

@@ -17,7 +17,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 from pmcl.sampling.chains import Chains
 from pmcl.sampling.checkpoint import Checkpoint, fingerprint, the_only_run
-from pmcl.sampling.options import RunOptions, SettingValue
+from pmcl.sampling.options import Progress, RunOptions, SettingValue
 from pmcl.sampling.pool import walker_pool
 from pmcl.sampling.state import state_dimension
 from pmcl.sampling.stopwatch import Stopwatch, TimeOver
@@ -38,14 +38,14 @@ class Session:
         Runs the walkers of each step.
     stopwatch : Stopwatch
         Notes the time of every step, and may end the run.
-    progress : bool
-        Whether emcee's progress bars are shown.
+    progress : bool or callable
+        Whether emcee's progress bars are shown, or who is told after each step.
     """
 
     checkpoint: Checkpoint | None
     pool: Any
     stopwatch: Stopwatch
-    progress: bool
+    progress: Progress
 
     def backend(self, name: str, steps: int, window: int = 0, keep_every: int = 0) -> StageBackend:
         """Return the backend of a stage, with the steps that the checkpoint holds of it.

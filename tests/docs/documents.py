@@ -27,6 +27,8 @@ SHORTER = (
     ("pmcl calibrate first.nc", "pmcl calibrate first.nc --draws 100"),
     ("pmcl calibrate started.nc --particles 100 --draws 2500", "pmcl calibrate started.nc --draws 20 --chains 2"),
     ("pmcl calibrate jarvis1.nc", "pmcl calibrate jarvis1.nc --draws 20 --chains 2"),
+    ("simulate amigobot --seed", "simulate amigobot --duration 60 --seed"),
+    ("pmcl fleet amigobot1.nc", "pmcl fleet --draws 20 --chains 2 --burn-in-particles 100 amigobot1.nc"),
     ("-o steered.nc", "--duration 300 -o steered.nc"),
 )
 """The one place that changes what is shown before it is run: settings for which a run takes seconds, not minutes."""

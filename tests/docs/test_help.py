@@ -12,6 +12,7 @@ import pmcl
 from pmcl import defaults
 from pmcl.calibration import ExpectationMaximisation, ParticleGibbs
 from pmcl.cli.commands import pmcl as application
+from pmcl.fleet import calibrate_fleet
 from pmcl.logs import read_bag, read_barfoot, read_carmen, read_mrclam, read_wean
 
 
@@ -26,6 +27,7 @@ COMMANDS = dict(_commands(application))
 # What each command's options are passed to, by name.
 FUNCTIONS = {
     ("calibrate",): pmcl.calibrate,
+    ("fleet",): calibrate_fleet,
     ("localize",): pmcl.localize,
     ("criticize",): pmcl.criticize,
     ("simulate", "amigobot"): pmcl.simulate_amigobot,

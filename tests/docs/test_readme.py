@@ -84,7 +84,7 @@ def _run(line: str, folder: Path) -> None:
         ["bash", "-c", shortened(line)], cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True,
         check=False,
     )  # fmt: skip
-    samples = "pmcl calibrate" in line or ("pmcl criticize" in line and "--posterior" in line)
+    samples = "pmcl calibrate" in line or "pmcl fleet" in line or ("pmcl criticize" in line and "--posterior" in line)
     usable = (0, 3, 4) if samples else (0,)
     assert done.returncode in usable, f"{line}\n{done.stdout}\n{done.stderr}"
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from pmcl.errors import ModelError, PmclError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.effects.carried import remember_file
 from pmcl.models.effects.catalogue import CATALOGUE
 from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import default_model
@@ -254,6 +255,7 @@ def run_file(file: Path) -> ModuleType:
         exec(compile(source, str(file), "exec"), vars(module))
     except Exception as error:
         raise _located(file, error) from error
+    remember_file(module.__name__, file, source)
     return module
 
 
