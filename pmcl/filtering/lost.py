@@ -23,7 +23,7 @@ def lost_at(predictions: Predictions, n_steps: int) -> int | None:
 
     It has lost the robot where, over a dozen rows with readings, most readings of most rows lie beyond 2.5 standard
     deviations of what was foreseen; or where, in one row of at least four beams or landmarks, most readings lie beyond
-    4.5.
+    4.5. The first row alone shows nothing.
 
     Parameters
     ----------
@@ -48,6 +48,8 @@ def lost_at(predictions: Predictions, n_steps: int) -> int | None:
     several = np.array(
         [np.unique(values).size >= _ROW_CHANNELS for values in np.split(predictions.channel[known], first[1:])]
     )
+    # Few particles of a start belief lie where sharp readings say; whether the filter is lost, later rows show.
+    several[0] = False
     windows = np.lib.stride_tricks.sliding_window_view(typical, _WINDOW)
     lost = np.concatenate(
         [

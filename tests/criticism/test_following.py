@@ -146,13 +146,16 @@ def test_a_missing_effect_of_one_channel_is_no_lost_robot(log):
     assert lost_at(predict_readings(bound.tables(theta)[0], 120, 500, make_rng(1)), 120) is None
 
 
-@pytest.mark.parametrize(("landmarks", "lost"), [(2, None), (4, 30)])
-def test_one_row_gives_a_loss_away_only_by_several_landmarks(landmarks, lost):
-    """Range and bearing of two landmarks can both be far off when the model misses something; of four they are not."""
+@pytest.mark.parametrize(("landmarks", "far_off", "lost"), [(2, 30, None), (4, 30, 30), (4, 0, None), (4, 1, 1)])
+def test_one_row_gives_a_loss_away_only_by_several_landmarks(landmarks, far_off, lost):
+    """Range and bearing of two landmarks can both be far off when the model misses something; of four they are not.
+
+    In the first row a wide start belief may have no particle where sharp readings say that the robot is.
+    """
     row, channel, kind = (
         part.ravel() for part in np.meshgrid(np.arange(60), np.arange(landmarks), [0, 1], indexing="ij")
     )
-    seen = np.where(row == 30, 1e-9, 0.5)
+    seen = np.where(row == far_off, 1e-9, 0.5)
     nothing = np.zeros(row.size)
     made = Predictions(None, nothing, kind, channel, row, ("range", "bearing"), nothing, nothing, seen, seen)
     assert lost_at(made, 60) == lost
