@@ -65,7 +65,7 @@ class Line:
         """Return the log density of the prior on the line, at places of shape (M,)."""
         pairs = [self._transform.from_line(np.array([x])) for x in u]
         theta = np.array([pair[0][0] for pair in pairs])
-        return np.asarray(self.parameter.prior.logpdf(theta)) + np.array([pair[1] for pair in pairs])
+        return np.asarray(self.parameter.prior.logpdf(theta) + np.array([pair[1] for pair in pairs]), dtype=np.float64)
 
 
 class RobotDensity(NamedTuple):
