@@ -39,6 +39,16 @@ class Gain(NamedTuple):
         return self.total > 2.0 * self.se
 
     @property
+    def bounded(self) -> float:
+        """The difference, of which the largest block counts at most half as much as all others together [nat].
+
+        One row may gain dozens of nats by an accident of the particles. Where the others gain nothing, it counts not at
+        all.
+        """
+        others = self.without_largest
+        return others + min(self.largest, 0.5 * max(others, 0.0))
+
+    @property
     def without_largest(self) -> float:
         """The difference without its largest block [nat]: what remains if that block is an accident."""
         return self.total - self.largest

@@ -10,7 +10,7 @@ from scipy import stats
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
 from pmcl.criticism.fitting.spare_effects import without_spare_effects
-from pmcl.criticism.fitting.trials import Trial, log_prior_and_volume, trial_of_base, try_effect
+from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
 from pmcl.criticism.naming.candidates import RankedEffect, by_score, in_order, of_carrier, of_sensors, twins_of, untried
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.filtering.paired_scores import Gain
@@ -107,12 +107,11 @@ def test_evidence_is_exact_for_a_gaussian(rng):
     assert log_prior_and_volume(loose) > log_prior_and_volume(fit) + 2.0
 
 
-def test_a_gain_of_one_block_is_no_explanation():
-    def trial(evidence, largest):
-        return Trial(None, None, None, None, 4.0, Gain(20.0, 8.0, largest), evidence, 1.0, 100)
-
-    assert trial(12.0, 5.0).in_several_blocks
-    assert not trial(12.0, 14.0).in_several_blocks
+def test_the_largest_block_of_a_gain_is_bounded():
+    assert Gain(20.0, 5.0, 4.0).bounded == 20.0
+    assert Gain(20.0, 5.0, 12.0).bounded == pytest.approx(8.0 + 4.0)
+    assert Gain(20.0, 5.0, 25.0).bounded == -5.0
+    assert Gain(-20.0, 5.0, 3.0).bounded == -23.0
 
 
 @pytest.mark.slow

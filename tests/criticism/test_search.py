@@ -150,20 +150,6 @@ def test_a_formula_competes_with_the_best_effect(monkeypatch):
     assert outcome.found.name == "odometry-turn-scale"
 
 
-def test_an_effect_that_gains_in_one_block_only_is_not_the_answer(monkeypatch):
-    case = Case(monkeypatch, gains(odometry_arc=30.0, odometry_turn_bias=29.5), {"odometry-arc": 7.0})
-    tried = refits.try_effect
-
-    def by_accident(current, effect, *given, **settings):
-        trial = tried(current, effect, *given, **settings)
-        if effect.name != "odometry-arc":
-            return trial
-        return replace(trial, gain=Gain(40.0, 20.0, 35.0))
-
-    monkeypatch.setattr(refits, "try_effect", by_accident)
-    assert case.explain().found.name == "odometry-turn-bias"
-
-
 def test_a_refit_is_kept_until_another_model_is_judged(monkeypatch):
     case = Case(monkeypatch, gains(odometry_arc=30.0))
     effect, current = effect_named("odometry-arc", case.log), trial_of(None)

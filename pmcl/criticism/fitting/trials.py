@@ -53,7 +53,8 @@ class Trial:
         Gain of its row scores over those of the current model.
     evidence : float
         Its log evidence less that of the current model [nat]: from its draws where these come near no effect
-        (:func:`pmcl.criticism.fitting.evidence.nested_evidence`), else from the gain (:func:`log_prior_and_volume`).
+        (:func:`pmcl.criticism.fitting.evidence.nested_evidence`), else from the gain, whose largest block of rows is
+        bounded (:func:`log_prior_and_volume`).
     noise : float
         Standard deviation of its evidence: from its draws, or because the particles that scored it are random [nat]. A
         single pass cannot tell the latter; it then has the noise of one pass of the current model.
@@ -91,15 +92,6 @@ class Trial:
     def thorough(self) -> bool:
         """Whether the fit is as long as fits get."""
         return self.effort == THOROUGH
-
-    @property
-    def in_several_blocks(self) -> bool:
-        """Whether something is left of its evidence without the block of rows that gains most.
-
-        One row may gain a dozen nats by accident of its particles; an effect that the robot has gains again. Evidence
-        from draws has no such accidents.
-        """
-        return self.nested or self.evidence - self.gain.largest > 0.0
 
 
 def log_prior_and_volume(fit: Fit) -> float:
@@ -256,8 +248,9 @@ def _scored(
         noise = current.noise * np.sqrt(_PASSES_OF_CURRENT) if passes == 1 else noise
         gain = paired_gain(scores.rows, current.row_scores, slice(None))
         # The log of an estimate lies below the log of what it estimates, by half of its variance on average.
-        evidence = gain.total + 0.5 * (noise**2 - current.noise**2)
-        evidence += log_prior_and_volume(fit) - log_prior_and_volume(current.fit)
+        evidence = gain.bounded + 0.5 * (noise**2 - current.noise**2)
+        # An additional parameter never makes the prior lose less; a chain that has not settled may seem to say so.
+        evidence += min(log_prior_and_volume(fit) - log_prior_and_volume(current.fit), 0.0)
     trial = Trial(effect, model, fit, scores.rows, z, gain, evidence, noise, particles, effort)
     if effect is None or trial.glanced:
         return trial

@@ -238,11 +238,9 @@ class Search:
         """Return the most probable effect, if some effect is more probable than that none of them is right."""
         by_key = {instance_key(_effect(trial)): trial for trial in trials}
         credible = [by_key[instance_key(effect)] for effect in probable.credible]
-        lasting = [trial for trial in credible if trial.in_several_blocks]
-        if not probable.likely or not lasting:
+        if not probable.likely:
             return Outcome(None, None, trials, probable)
-        best = lasting[0]
-        twins = [trial for trial in credible if trial is not best]
+        best, *twins = credible
         judgement, directions = last.judgement, self.directions
         if formulas is not None and any(direction.effect is best.effect for direction in formulas.directions):
             judgement, directions = formulas.judgement, formulas.directions
