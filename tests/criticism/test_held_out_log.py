@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hidden_logs import hidden
 
-from pmcl.criticism.fitting.held_out import predicted_log, row_scores
+from pmcl.criticism.fitting.held_out import bound_to_other, predicted_log, row_scores
 from pmcl.criticism.fitting.quick_fit import BRIEF, quick_fit
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import CriticismError, LogError
+from pmcl.filtering.estimated_path import with_estimated_path
+from pmcl.models.effects.formula import formula_effect
 from pmcl.models.robot_model import default_model
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
@@ -73,12 +76,12 @@ def test_the_critic_tells_whether_the_second_log_confirms(text, confirmed):
     assert any("gains nothing on" in note for note in result.notes) is not confirmed
 
 
-@pytest.mark.slow
-def test_a_formula_is_confirmed_along_the_path_of_the_second_log():
-    text = "range-bias=0.1"
-    log, other = hidden(text, 160.0, 4), hidden(text, 120.0, 5)
-    formulas_only = criticize(
-        log, held_out=other, effects=(), simulations=20, joint=False, rounds=1, seed=1, workers=1
-    )
-    assert formulas_only.held_out.estimated("path").shape == (120, 3)
-    assert np.isfinite(formulas_only.steps[0].gap.log_score_per_reading)
+def test_a_formula_of_the_first_log_is_evaluated_along_the_path_of_the_second(base):
+    log, fit = base
+    other = with_estimated_path(field(2, rows=90), fit.bound.model, always=True, seed=1)
+    assert other.estimated("path").shape == (90, 3)
+    # The critic's formulas hold their values along the path of the first log.
+    formula = formula_effect("turn", ["cos(heading)"], features=[np.ones(log.n_steps)])
+    tables = bound_to_other(replace(fit.bound.model, effects=(formula,)), other).tables(np.append(fit.theta, 0.1))[0]
+    turned = tables.motion.mean[1:, 2] - other.odometry[1:, 2]
+    np.testing.assert_allclose(turned, 0.1 * np.cos(other.estimated("path")[1:, 2]), atol=1e-9)

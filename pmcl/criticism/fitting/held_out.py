@@ -15,9 +15,9 @@ from pmcl.filtering.one_step_ahead import Predictions, pooled_increments, predic
 from pmcl.filtering.particle_filter import make_rng, run_filter
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import portable
-from pmcl.models.robot_model import BoundModel
+from pmcl.models.robot_model import BoundModel, RobotModel
 
-__all__ = ["HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "gap_of", "held_out", "predicted_log", "row_scores"]
+__all__ = ["HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "predicted_log", "row_scores"]
 
 Float = NDArray[np.float64]
 
@@ -166,9 +166,20 @@ def predicted_log(fit: Fit, log: RobotLog, *, particles: int, seed: int) -> Held
     FilterError
         When the filter loses the robot entirely.
     """
-    model = fit.bound.model
-    bound = replace(model, effects=tuple(portable(effect) for effect in model.effects)).bind(log)
-    return _predicted(bound, fit.theta, 0, particles, seed)
+    return _predicted(bound_to_other(fit.bound.model, log), fit.theta, 0, particles, seed)
+
+
+def bound_to_other(model: RobotModel, log: RobotLog) -> BoundModel:
+    """Return a model bound to another log than the one on which its formulas were found.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The model.
+    log : RobotLog
+        The other log; with an estimate of its path if the model has formulas that need one.
+    """
+    return replace(model, effects=tuple(portable(effect) for effect in model.effects)).bind(log)
 
 
 def _predicted(bound: BoundModel, theta: Float, first: int, particles: int, seed: int) -> HeldOut:
