@@ -35,7 +35,7 @@ def test_a_second_log_is_predicted_by_what_was_fitted_to_the_first(base):
     """As the filter of the same parameters predicts it, row by row."""
     _, fit = base
     other = field(2, rows=90)
-    told = predicted_log(fit, other, particles=300, seed=5)
+    told = predicted_log(fit, other, particles=2000, seed=5)
     its_own = row_scores(fit.bound.model.bind(other), fit.theta, particles=2000, seed=6)
     assert told.rows.shape == (90,)
     assert abs(told.rows.sum() - its_own.rows.sum()) < 10.0

@@ -17,7 +17,10 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import portable
 from pmcl.models.robot_model import BoundModel, RobotModel
 
-__all__ = ["HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "predicted_log", "row_scores"]
+__all__ = [
+    "HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "predicted_log",
+    "row_scores",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 
