@@ -39,7 +39,7 @@ def test_a_second_log_is_predicted_by_what_was_fitted_to_the_first(base):
     its_own = row_scores(fit.bound.model.bind(other), fit.theta, particles=2000, seed=6)
     assert told.rows.shape == (90,)
     assert abs(told.rows.sum() - its_own.rows.sum()) < 10.0
-    assert np.corrcoef(told.rows, its_own.rows)[0, 1] > 0.99
+    assert np.corrcoef(told.rows, its_own.rows)[0, 1] > 0.95
     readings = 2 * np.count_nonzero(~np.isnan(other.landmark_range))
     assert told.gap.log_score_per_reading * readings == pytest.approx(told.rows.sum())
 
