@@ -13,19 +13,17 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
-    "EXPLAINED", "NOTHING", "UNKNOWN", "WORTH_A_FORMULA", "as_percentage", "channels_of", "finding_of", "likeness_of",
+    "EXPLAINED", "NOTHING", "UNKNOWN", "as_percentage", "channels_of", "finding_of", "likeness_of",
     "sentence_of", "size_throughout", "verdict_of", "window_of", "with_place",
 ]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
 
 # An alarm that no effect explains counts as an unknown effect from these p-values on: without any accepted effect, and
-# beside one. They are lower than the rate of false alarms, because such an alarm is not confirmed by held-out data, and
+# beside one. They are lower than the rate of false alarms, because nothing explains such an alarm, and
 # because the tests are repeated after each added effect. Chosen by hand on simulated logs without a hidden effect
 # (block 0 of analyses/hidden_effects).
 _WITHOUT_EFFECT, _BESIDE_EFFECT = 0.02, 0.01
-WORTH_A_FORMULA = _WITHOUT_EFFECT
-"""No formula is sought for weaker alarms: they count only if a known effect confirms them."""
 # A parameter of the base model is mentioned when it changes by at least this many of its standard deviations.
 _CHANGED = 2.0
 # Times whose interval is at least so long [s] are told in full seconds (chosen by hand).
@@ -122,7 +120,10 @@ def sentence_of(
     if found:
         findings = "; ".join(finding_of(effect, log) for effect in found)
         gain = steps[-1].gap.log_score_per_reading - steps[0].gap.log_score_per_reading
-        parts.append(f"{findings}; with that in the model the held-out score rises by {gain:.3g} nats per reading")
+        told = f"the held-out score {'rises' if gain >= 0.0 else 'falls'} by {abs(gain):.3g} nats per reading"
+        if math.isnan(gain):  # a filter of either model loses the robot
+            told = "the held-out score cannot be compared"
+        parts.append(f"{findings}; with that in the model {told}")
         change = _greatest_change(before, after)
         if change:
             parts.append(change)

@@ -1,7 +1,7 @@
 """Effects outside the catalogue, written as a formula: a coefficient times a feature, on some carrier.
 
 When something is unusual and no known effect explains it, small features of motion, place, time and beam geometry are
-offered as effects: they are scored, refitted, and accepted only if held-out data confirm them. An accepted formula
+offered as effects: they are scored, refitted, and compete with the effects of the catalogue. An accepted formula
 reads ``formula: turn += 0.03*cos(heading)``. If none is accepted, the effect stays unknown.
 """
 
