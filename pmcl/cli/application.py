@@ -6,8 +6,10 @@ disagree, 130 interrupted.
 
 from __future__ import annotations
 
+import errno
 import functools
 import logging
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -21,6 +23,8 @@ __all__ = ["BAD_INPUT", "DOES_NOT_FIT", "INTERRUPTED", "NOT_CONVERGED", "Applica
 
 BAD_INPUT, NOT_CONVERGED, DOES_NOT_FIT, INTERRUPTED = 2, 3, 4, 130
 _ON_INTERRUPT = "pmcl.on_interrupt"
+# The errors of a device that can take no more.
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
 class Application(click.Group):
@@ -42,6 +46,8 @@ class Application(click.Group):
         try:
             # What click returns here is the status given to Context.exit, or what a command returned: nothing.
             status: Any = run()
+            if sys.stdout is not None:  # closed by who called the command
+                sys.stdout.flush()
         except click.UsageError as error:
             status = _fail(_usage(error))
         except click.ClickException as error:
@@ -50,6 +56,13 @@ class Application(click.Group):
             status = _fail(str(error))
         except click.Abort:
             status = INTERRUPTED
+        except OSError as error:
+            if error.errno not in _NO_SPACE:
+                raise
+            # What files lack space is told where they are written; this is the standard output.
+            status = _fail(f"expected that the output can be written, but got '{error.strerror}'; make space for it")
+            # Python tries again to write the rest when it ends, and would fail once more.
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         sys.exit(status or 0)
 
     def invoke(self, ctx: click.Context) -> Any:

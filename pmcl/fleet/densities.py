@@ -59,13 +59,15 @@ class Line:
     def from_line(self, u: Float) -> Float:
         """Undo :meth:`to_line`."""
         flat = np.asarray(u, dtype=float).reshape(-1)
-        return np.array([self._transform.from_line(np.array([x]))[0][0] for x in flat]).reshape(np.shape(u))
+        values = np.array([self._transform.from_line(np.array([x]))[0][0] for x in flat], dtype=np.float64)
+        return np.asarray(values.reshape(np.shape(u)))
 
     def log_prior(self, u: Float) -> Float:
         """Return the log density of the prior on the line, at places of shape (M,)."""
         pairs = [self._transform.from_line(np.array([x])) for x in u]
         theta = np.array([pair[0][0] for pair in pairs])
-        return np.asarray(self.parameter.prior.logpdf(theta) + np.array([pair[1] for pair in pairs]), dtype=np.float64)
+        log_jacobian = np.array([pair[1] for pair in pairs])
+        return np.asarray(self.parameter.prior.logpdf(theta) + log_jacobian, dtype=np.float64)
 
 
 class RobotDensity(NamedTuple):
