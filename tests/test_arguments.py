@@ -225,7 +225,7 @@ def no_work(monkeypatch):
     """Replace what functions do after their checks."""
     monkeypatch.setattr("pmcl.sampling.particle_gibbs.run_session", reach)
     monkeypatch.setattr("pmcl.sampling.ensemble.run_session", reach)
-    monkeypatch.setattr("pmcl.criticism.workflow.Search", reach)
+    monkeypatch.setattr("pmcl.criticism.lost_filter.Search", reach)
     monkeypatch.setattr("pmcl.localization.setup.Tracker", reach)
     monkeypatch.setattr("pmcl.comparison.compare._compile", reach)
     monkeypatch.setattr("pmcl.simulations.amigobot.drive", reach)

@@ -86,7 +86,8 @@ class SimulatedTime:
 
         def step(bound, settings, transport, transform, state, seed):
             new, info = move(bound, settings, transport, transform, state, seed)
-            self.advance(seconds * settings.sweeps * settings.particles * new.rows)
+            # Left open, it is two sweeps, or one where the log is easy.
+            self.advance(seconds * (settings.sweeps or 2) * settings.particles * new.rows)
             return new, info
 
         def target(this, theta):

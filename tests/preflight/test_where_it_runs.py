@@ -39,7 +39,7 @@ def test_criticize_warns_before_it_fits(wrong_log, monkeypatch, caplog):
     def stop(*given):
         raise ReachedSampling
 
-    monkeypatch.setattr(pmcl.criticism.workflow, "Search", stop)
+    monkeypatch.setattr("pmcl.criticism.lost_filter.Search", stop)
     with caplog.at_level(logging.WARNING, "pmcl"), pytest.raises(ReachedSampling):
         pmcl.criticism.workflow.criticize(wrong_log)
     assert "turn-sign-flipped" in caplog.text
