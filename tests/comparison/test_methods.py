@@ -180,11 +180,16 @@ def test_a_walk_in_a_hurry_ends_in_time_or_says_why(rail, seconds, monkeypatch):
     clock = Stopwatch(seconds, clock=time)
     method = ParticleMetropolis(particles=16, tuning_steps=(4, 4, 4))
     options = RunOptions(draws=10**6, chains=2, seed=3, stopwatch=clock)
-    if seconds < 0.3:
-        with pytest.raises(SamplingError, match="the time was over before the first draw"):
-            method.run(rail, options)
+    try:
+        made, reason = method.run(rail, options), ""
+    except SamplingError as error:
+        made, reason = None, str(error)
+    if made is None:
+        # Two chains share half a second: which of them comes first decides whether there is a draw.
+        assert "the time was over before the first draw" in reason
+        assert seconds <= 0.5
         return
-    made = method.run(rail, options)
+    assert seconds >= 0.5
     assert np.isfinite(made.theta).all()
     assert made.n_draws >= 1
 
