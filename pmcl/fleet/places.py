@@ -190,8 +190,11 @@ class ProcessPlace(Place):
                     lost.append(job)
                 else:
                     yield done
-            left = []
-            for job in lost:
+            # Jobs begin in their order. The first ones that were lost ran, and one of them may have killed its process;
+            # the others had not begun, and go first now.
+            lost.sort(key=left.index)
+            ran, left = lost[: self.slots], lost[self.slots :]
+            for job in ran:
                 losses[job.name] += 1
                 if losses[job.name] < _MOST_LOSSES:
                     left.append(job)

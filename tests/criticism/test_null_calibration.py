@@ -26,7 +26,7 @@ def _p_value(log, seed):
     fit = quick_fit(model.bind(log), seed, effort=BRIEF)
     directions = candidate_directions(model.effects, fit.tables, log, candidates(log))
     settings = Settings(300, seed, 0.05, 24, 8, 1, False)
-    return judge_log(log, fit, directions, int(0.6 * log.n_steps), settings).judgement.p_value
+    return judge_log(log, fit, directions, settings).judgement.p_value
 
 
 @pytest.mark.long

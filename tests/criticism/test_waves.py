@@ -53,7 +53,7 @@ def _period_and_start(name):
 @pytest.mark.slow
 def test_period_and_phase_are_found_and_nothing_where_nothing_swings():
     found = _waves(_log(0.06))
-    effect, z = found.found[0]
+    effect, z, *_ = found.found[0]
     assert effect.name.startswith("formula: turn += c*sin(")
     assert z > found.critical_z
     period, start = _period_and_start(effect.name)

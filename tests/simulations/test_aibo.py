@@ -110,7 +110,7 @@ def test_the_usual_model_has_the_papers_five_parameters():
 @pytest.mark.slow
 def test_calibration_finds_the_noise_of_the_aibo():
     log = simulate_aibo(400.0, seed=6)
-    data = pmcl.calibrate(log, draws=250, seed=1, method=pmcl.ParticleGibbs(burn_in_particles=300))
+    data = pmcl.calibrate(log, draws=400, seed=1, method=pmcl.ParticleGibbs(burn_in_particles=300))
     summary = summarize(data)
     assert verdict(data).converged, verdict(data).message
     off = (summary["mean"] - summary["truth"]) / summary["sd"]
