@@ -30,7 +30,7 @@ def told(draws, one, free=FREE):
     return nested_evidence(SimpleNamespace(draws=columns), one, free)
 
 
-@pytest.mark.parametrize("deviation", [-2.5, 0.0, 1.0, 2.0])
+@pytest.mark.parametrize("deviation", [-1.8, 0.0, 1.0, 1.5])
 def test_of_a_normal_likelihood(deviation, rng):
     prior, sd = stats.norm(scale=0.5), 0.1
     shrunk = 0.25 / (0.25 + sd**2)
@@ -47,7 +47,7 @@ def test_of_a_normal_likelihood(deviation, rng):
     assert np.mean(said) > found.noise
 
 
-@pytest.mark.parametrize("peak", [-2.0, 0.0, 1.0, 3.0])
+@pytest.mark.parametrize("peak", [-2.0, 0.0, 1.0, 2.4])
 def test_of_a_weight_that_cannot_be_negative(peak, rng):
     """The likelihood is a normal with its peak at or beside the bound, the prior a half normal far wider."""
     prior, sd = stats.halfnorm(scale=1.0), 0.05

@@ -22,9 +22,9 @@ __all__ = ["NestedEvidence", "nested_evidence"]
 
 Float = NDArray[np.float64]
 
-# Further from no effect than this [standard deviations], the posterior's tail at no effect is not known well enough: a
-# standard deviation that is wrong by a tenth, as from 60 draws, is two nats there.
-_FARTHEST = 4.0
+# Further from no effect than this [standard deviations], the posterior's tail at no effect is not known well enough: it
+# is heavier than a normal's, which was 0.8 nats off at 3.3 standard deviations (tests/criticism/test_evidence.py).
+_FARTHEST = 3.0
 # Draws of a chain for one that is worth as much as an independent one (transport moves make them nearly independent).
 _DRAWS_PER_INDEPENDENT = 1.5
 # Normal approximations are wrong by so much in any case [nat].
