@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from pmcl.criticism.fitting import trials
+from pmcl.criticism.fitting.held_out import RowScores
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
 from pmcl.criticism.fitting.spare_effects import without_spare_effects
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
@@ -51,9 +54,9 @@ def test_of_a_twin_with_many_places_the_likeliest_is_refitted():
 
 def test_nothing_is_refitted_twice():
     log = simulate_landmark_field(60, 1, bearings=True)
-    trials = [SimpleNamespace(effect=effect_named(name, log)) for name in ("sensor-yaw", "bearing-bias")]
+    tried = [SimpleNamespace(effect=effect_named(name, log)) for name in ("sensor-yaw", "bearing-bias")]
     offered = [RankedEffect(effect_named(name, log), 1.0) for name in ("sensor-yaw", "landmark-range-bias")]
-    assert [one.effect.name for one in untried(offered, trials)] == ["landmark-range-bias"]
+    assert [one.effect.name for one in untried(offered, tried)] == ["landmark-range-bias"]
 
 
 def test_the_order_is_that_of_what_candidates_promise_with_few_places_of_each():
@@ -105,6 +108,35 @@ def test_evidence_is_exact_for_a_gaussian(rng):
     # What the log determines to a tenth costs more than what it leaves at its prior.
     loose = SimpleNamespace(bound=bound, theta=draws.mean(axis=0), draws=draws * [1.0, 10.0])
     assert log_prior_and_volume(loose) > log_prior_and_volume(fit) + 2.0
+
+
+@pytest.mark.parametrize("strength", [0.5, 0.01])
+def test_what_the_evidence_of_a_trial_is_made_of(strength, monkeypatch, rng):
+    """Far from no effect from gains, noise of particles and priors; near none from the draws alone."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    model, effect = default_model(log), effect_named("odometry-turn-scale", log)
+    base, more = model.bind(log), replace(model, effects=(effect,)).bind(log)
+    rows = {base: np.zeros(60), more: np.full(60, 0.7)}
+    noise = {base: 1.5, more: 2.0}
+    monkeypatch.setattr(trials, "row_scores", lambda bound, *_, **__: RowScores(rows[bound], noise[bound]))
+    theta = base.prior_mean()
+    draws = theta * (1.0 + 0.1 * rng.standard_normal((400, theta.size)))
+    of_effect = strength + 0.01 * rng.standard_normal((400, 1))
+    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws)]
+    draws = np.hstack([draws, of_effect])
+    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws))
+    monkeypatch.setattr(trials, "quick_fit", lambda *_, **__: fits[1])
+    current = trial_of_base(fits[0], seed=1, particles=100)
+    current = replace(current, fit=SimpleNamespace(**vars(fits[0]), path=None))
+    trial = try_effect(current, effect, 1.0, log, seed=1, particles=100, effort=THOROUGH)
+    if strength < 0.1:
+        prior = effect.parameters[0].prior
+        expected = prior.logpdf(0.0) - stats.norm(of_effect.mean(), of_effect.std(ddof=1)).logpdf(0.0)
+    else:
+        lost = log_prior_and_volume(fits[1]) - log_prior_and_volume(fits[0])
+        assert lost < -1.0
+        expected = 0.7 * 60 + 0.5 * (2.0**2 - 1.5**2) + lost
+    assert trial.evidence == pytest.approx(expected)
 
 
 def test_the_largest_block_of_a_gain_is_bounded():

@@ -96,11 +96,16 @@ def test_what_explains_the_log_ends_the_search_and_only_it_gets_a_long_fit(monke
 
 
 def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_more_particles(monkeypatch):
+    monkeypatch.setattr(search, "_BATCH", 1)
     case = Case(monkeypatch, gains(odometry_side_drift=60.0, sensor_yaw=60.0), {"odometry-side-drift": 7.0})
     outcome = case.explain()
     assert {outcome.found.name, *outcome.found.not_distinguishable_from} == {"odometry-side-drift", "sensor-yaw"}
     assert set(case.names("thorough")) == {"odometry-side-drift", "sensor-yaw"}
     assert set(case.names("finer")) == {"odometry-side-drift", "sensor-yaw"}
+    # By its score alone the twin would not have been tried: another effect explains the log.
+    alone = Case(monkeypatch, gains(landmark_misread=60.0, sensor_yaw=60.0), {"landmark-misread": 7.0})
+    alone.explain()
+    assert "sensor-yaw" not in alone.names("glance")
     assert outcome.found.probability + sum(one.probability for one in outcome.found.alternatives) > 0.98
 
 
