@@ -34,11 +34,6 @@ class Gain(NamedTuple):
     largest: float = 0.0
 
     @property
-    def significant(self) -> bool:
-        """Whether it exceeds two standard errors."""
-        return self.total > 2.0 * self.se
-
-    @property
     def bounded(self) -> float:
         """The difference, of which the largest block counts at most half as much as all others together [nat].
 

@@ -109,6 +109,23 @@ def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_
     assert outcome.found.probability + sum(one.probability for one in outcome.found.alternatives) > 0.98
 
 
+def test_what_becomes_the_answer_by_a_longer_fit_of_another_is_fitted_thoroughly_too(monkeypatch):
+    case = Case(monkeypatch, gains(odometry_arc=60.0, odometry_turn_scale=50.0), {"odometry-arc": 7.0})
+    brief = refits.refitted
+
+    def worse_when_thorough(trial, current, *, effort, **settings):
+        longer = brief(trial, current, effort=effort, **settings)
+        if effort == THOROUGH and trial.effect.name == "odometry-arc":
+            return replace(longer, evidence=20.0)
+        return longer
+
+    monkeypatch.setattr(refits, "refitted", worse_when_thorough)
+    monkeypatch.setattr(search, "twins_of", lambda *_: [])  # no further round mends it
+    outcome = case.explain()
+    assert outcome.accepted.effect.name == "odometry-turn-scale"
+    assert outcome.accepted.thorough
+
+
 def test_where_the_likeliest_explain_nothing_further_candidates_are_tried_unless_the_alarm_is_in_doubt(monkeypatch):
     # Its score is the least of all: the path has absorbed it.
     monkeypatch.setattr(search, "_BATCH", 2)

@@ -211,8 +211,12 @@ class Search:
         keys = {instance_key(effect) for effect in probable.may_be_right}
         glanced = [trial for trial in trials if trial.glanced and instance_key(_effect(trial)) in keys]
         trials = _replaced(trials, glanced, self.refits.longer(current, glanced, BRIEF))
-        probable = self._explanations(last, current, trials, formulas)
-        return self._longer(current, trials, probable.credible if probable.likely else ())
+        while True:
+            probable = self._explanations(last, current, trials, formulas)
+            longer = self._longer(current, trials, probable.credible if probable.likely else ())
+            if all(after is before for after, before in zip(longer, trials, strict=True)):
+                return trials
+            trials = longer  # others may be the answer now
 
     def _longer(self, current: Trial, trials: list[Trial], effects: Sequence[Effect] | None = None) -> list[Trial]:
         """Return the trials, after those of some effects, or all, were fitted thoroughly."""
