@@ -26,10 +26,11 @@ from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, wi
 from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out, predicted_log
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
-from pmcl.criticism.fitting.spare_effects import evidence_between, without_spare_effects
-from pmcl.criticism.fitting.trials import Trial, trial_of_base
+from pmcl.criticism.fitting.spare_effects import without_spare_effects
+from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.fitting.when import Acting, acting
 from pmcl.criticism.judging.judged_log import in_doubt
+from pmcl.criticism.naming.gross_errors import without_gross_errors
 from pmcl.criticism.naming.lost_robot import Recovery
 from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
 from pmcl.criticism.naming.search import Outcome, Search
@@ -246,9 +247,7 @@ class Loop:
         """Add the effect that a search accepted; return the model with it, judged."""
         assert outcome.accepted is not None
         assert outcome.found is not None
-        return self._added(
-            last, outcome.accepted, outcome.trials, outcome.found, decision.format(outcome.found.name)
-        )
+        return self._added(last, outcome.accepted, outcome.trials, outcome.found, decision.format(outcome.found.name))
 
     def _added(
         self, last: JudgedFit, accepted: Trial, trials: Sequence[Trial], found: FoundEffect, decision: str
@@ -267,9 +266,7 @@ class Loop:
                 f"to {self.log.where} alone, or something else is meant"
             )
         self.found.append(
-            replace(
-                found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.other is None
-            )
+            replace(found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.other is None)
         )
         self.settings.tell(
             f"added {with_place(found)}: {gain.total:+.1f} nats on held-out data", "judging the model with it"
@@ -304,29 +301,12 @@ class Loop:
         """
         if not self.found:
             return last
-        self.settings.tell("is the filter still lost without gross errors?")
-        judged, refits = last.fit, self.search.refits
-        model = replace(judged.bound.model, sensors=loss.model.sensors)
-        bound, known = model.bind(self.log), judged.values()
-        theta = np.array([known[name] for name in bound.names])
-        try:
-            compile_for_criticism(bound.tables(theta)[0])
-            fit = quick_fit(
-                bound, stream_seed(self.settings.seed, "fit without gross errors"), theta=theta, path=judged.path
-            )
-            self._follow(fit)
-            current, without = (
-                trial_of_base(one, seed=refits.seed, particles=self.settings.comparing) for one in (judged, fit)
-            )
-        except FilterError:
-            self.notes.append("gross errors are still needed: without them the filter loses the robot")
-            return last
-        evidence = evidence_between(current, without)
-        if evidence > 0.0:
-            self.notes.append(f"gross errors are still needed: the log speaks for them with {evidence:.1f} nats")
+        without = without_gross_errors(last.fit, loss.model.sensors, self.search.refits, self._follow)
+        if without.fit is None:
+            self.notes.append(f"gross errors are still needed: {without.reason}")
             return last
         try:
-            again = self.search.judge(fit)
+            again = self.search.judge(without.fit)
         except FilterError as error:
             self.notes.append(f"gross errors are kept: {error}")
             return last
@@ -335,9 +315,7 @@ class Loop:
         self._record(again, [], "allow for no gross errors: with what was found the filter follows")
         return again
 
-    def _record(
-        self, last: JudgedFit, trials: Sequence[Trial], decision: str, accepted: Trial | None = None
-    ) -> None:
+    def _record(self, last: JudgedFit, trials: Sequence[Trial], decision: str, accepted: Trial | None = None) -> None:
         """Append the current model to the steps.
 
         Parameters

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pmcl.criticism import loop
 from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of
 from pmcl.criticism.loop import Loop, Loss
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
+from pmcl.criticism.naming import gross_errors
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
 from pmcl.criticism.workflow import criticize
@@ -153,10 +153,10 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
         fitted.append((bound.names, theta))
         return SimpleNamespace(bound=bound, theta=theta, path=path)
 
-    monkeypatch.setattr(loop, "quick_fit", fit_again)
-    monkeypatch.setattr(loop, "compile_for_criticism", lambda tables: None)
-    monkeypatch.setattr(loop, "trial_of_base", lambda fit, **_: fit)
-    monkeypatch.setattr(loop, "evidence_between", lambda trial, without: evidence)
+    monkeypatch.setattr(gross_errors, "quick_fit", fit_again)
+    monkeypatch.setattr(gross_errors, "compile_for_criticism", lambda tables: None)
+    monkeypatch.setattr(gross_errors, "trial_of_base", lambda fit, **_: fit)
+    monkeypatch.setattr(gross_errors, "evidence_between", lambda trial, without: evidence)
     monkeypatch.setattr(one, "_follow", followed)
     monkeypatch.setattr(one, "_record", lambda *given, **_: one.steps.append(given))
     monkeypatch.setattr(one.search, "judge", lambda fit: "judged again")
