@@ -74,7 +74,8 @@ def criticize(
     level : float
         Rate of false alarms.
     simulations : int
-        Number of logs that the fitted model simulates for comparison.
+        Number of logs that the fitted model simulates for comparison: fewer where some of them show already that the
+        log is unusual, and up to three times as many where an alarm is in doubt.
     paths : int
         Number of trajectories over which scores are averaged.
     rounds : int

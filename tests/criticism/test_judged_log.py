@@ -19,14 +19,23 @@ SETTINGS = Settings(
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "logs"), [(0.4, None, [30]), (1e-3, 0.2, [30, 90]), (0.03, 1e-4, [30, 90]), (1e-9, None, [30])]
+    "p_values",
+    [
+        {14: 1e-9},  # beyond doubt at the first look
+        {14: 0.01, 30: 0.4},
+        {14: 0.01, 30: 1e-9},
+        {14: 0.9, 30: 1e-3, 60: 0.2},  # a doubtful alarm that is none with twice as many
+        {14: 0.01, 30: 1e-3, 60: 1e-6},
+        {14: 0.01, 30: 1e-3, 60: 0.04, 90: 0.2},
+        {14: 0.01, 30: 0.03, 60: 1e-3, 90: 1e-4},  # in doubt to the end: the last judgement counts
+    ],
 )
-def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, first, second, logs):
+def test_logs_are_simulated_until_an_alarm_is_beyond_doubt_or_none(monkeypatch, p_values):
     asked, seeds = [], []
 
     def judged(scored, simulated, directions, settings):
-        p_value = first if not asked else second
         asked.append(len(simulated))
+        p_value = p_values[len(simulated)]
         judgement = SimpleNamespace(p_value=p_value, raised=("alarm",) if p_value < 0.05 else ())
         return SimpleNamespace(judgement=judgement, scored=scored, simulated=simulated)
 
@@ -42,6 +51,6 @@ def test_doubtful_alarms_are_judged_again_by_more_simulated_logs(monkeypatch, fi
     last = judged_log.judge_log("log", fit, (), SETTINGS)
     if judged_log.in_doubt(last.judgement):
         last = judged_log.with_more_simulations(last, "log", fit, (), SETTINGS)
-    assert asked == logs
-    assert last.judgement.p_value == (first if second is None else second)
-    assert len(set(seeds)) == len(seeds) == 1 + logs[-1]
+    assert asked == list(p_values)
+    assert last.judgement.p_value == list(p_values.values())[-1]
+    assert len(set(seeds)) == len(seeds) == 1 + asked[-1]

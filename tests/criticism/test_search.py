@@ -88,7 +88,8 @@ def test_what_explains_the_log_ends_the_search_and_only_it_gets_a_long_fit(monke
     assert outcome.accepted.effect.name == outcome.found.name == "landmark-misread"
     assert outcome.certain
     assert outcome.found.probability > 0.99
-    assert case.names("brief") == case.names("thorough") == ["landmark-misread"]
+    assert case.names("thorough") == ["landmark-misread"]
+    assert not case.names("brief")  # nothing else may be right
     assert case.names("glance")[0] == "landmark-misread"
     # One batch, and what looks like the answer.
     assert len(case.names("glance")) < search._BATCH + 6

@@ -4,7 +4,8 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
 
 1. The candidates whose scores promise most are fitted at a glance, and so is what the catalogue says looks like one of
    those that may be right.
-2. Whatever may be right after a glance is fitted longer, and what may be the answer after that is fitted thoroughly.
+2. Whatever may be right after a glance is fitted longer, and what may be the answer after that is fitted thoroughly;
+   where only one effect may be right, at once.
 3. Formulas compete with the effects of the catalogue.
 4. The search goes on with further candidates until the effects that were tried have nearly all probability, or until
    all candidates were tried.
@@ -208,7 +209,9 @@ class Search:
     ) -> list[Trial]:
         """Return the trials, after those that may be right were fitted longer."""
         probable = self._explanations(last, current, trials, formulas)
-        keys = {instance_key(effect) for effect in probable.may_be_right}
+        # One that is the answer already is fitted thoroughly below.
+        brief = probable.may_be_right if len(probable.may_be_right) > 1 or not probable.likely else ()
+        keys = {instance_key(effect) for effect in brief}
         glanced = [trial for trial in trials if trial.glanced and instance_key(_effect(trial)) in keys]
         trials = _replaced(trials, glanced, self.refits.longer(current, glanced, BRIEF))
         while True:
