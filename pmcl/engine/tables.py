@@ -105,13 +105,19 @@ def axes_of(table_type: type) -> dict[str, tuple[str | int, ...]]:
 
 def axis_sizes(table: Any) -> dict[str, int]:
     """Return the size of each named axis, as the table's own fields have it; of the extras, nothing is read."""
-    sizes: dict[str, int] = {}
     table_type: Any = type(table)
+    return {axis: np.shape(getattr(table, name))[place] for axis, name, place in _where_axes_are(table_type)}
+
+
+@functools.cache
+def _where_axes_are(table_type: type) -> tuple[tuple[str, str, int], ...]:
+    """Return each named axis with the first field that has it, and its place there."""
+    found: dict[str, tuple[str, int]] = {}
     for name, axes in _declared(table_type).items():
-        for axis, size in zip(axes.names, np.shape(getattr(table, name)), strict=True):
+        for place, axis in enumerate(axes.names):
             if isinstance(axis, str):
-                sizes.setdefault(axis, size)
-    return sizes
+                found.setdefault(axis, (name, place))
+    return tuple((axis, name, place) for axis, (name, place) in found.items())
 
 
 def _neutral(axes: Axes, table: Any, sizes: Mapping[str, int]) -> Any:
@@ -121,6 +127,13 @@ def _neutral(axes: Axes, table: Any, sizes: Mapping[str, int]) -> Any:
     if not axes.names:
         return float(axes.neutral)
     return np.full([axis if isinstance(axis, int) else sizes.get(axis, 0) for axis in axes.names], float(axes.neutral))
+
+
+@functools.lru_cache(maxsize=256)
+def _neutral_constants(target: type, sizes: tuple[tuple[str, int], ...]) -> dict[str, Any]:
+    """Return the neutral values that do not depend on a table; no array of a table is ever written to."""
+    own = _declared(target)
+    return {name: _neutral(axes, None, dict(sizes)) for name, axes in own.items() if not callable(axes.neutral)}
 
 
 def with_extras(table: Any, extras_type: type | None = None) -> Any:
@@ -144,12 +157,13 @@ def with_extras(table: Any, extras_type: type | None = None) -> Any:
     present = type(table.extras)
     if present is target or (present in known and known.index(present) > known.index(target)):
         return table
-    sizes = axis_sizes(table)
+    # Tables are made anew for each proposal of a sampler, most of them of the same sizes.
+    constants = _neutral_constants(target, tuple(axis_sizes(table).items()))
     values = {
-        name: getattr(table.extras, name) if name in table.extras._fields else _neutral(axes, table, sizes)
+        name: constants[name] if name in constants else _neutral(axes, table, {})
         for name, axes in _declared(target).items()
     }
-    return table._replace(extras=target(**values))
+    return table._replace(extras=target(**{**values, **table.extras._asdict()}))
 
 
 def with_fields(table: Any, changes: Mapping[str, Any]) -> Any:
