@@ -16,7 +16,6 @@ from run import SEED
 
 import pmcl
 from pmcl.identifiability import identify
-from pmcl.identifiability.drives import drives_for
 from pmcl.models.motions.increments.motion import GrowingIncrementNoise
 from pmcl.models.robot_model import RobotModel
 from pmcl.models.sensor import sensor_of
@@ -24,6 +23,7 @@ from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.models.starts.belief import StartBelief
 from pmcl.posterior.access import theta_draws
 from pmcl.posterior.diagnostics import summarize
+from pmcl.simulations.drives import drives_for
 from pmcl.simulations.simulate import make_rng, simulate_path
 
 COLUMNS = ("kind", "number", "parameter", "truth", "prior_sd", "before_sd", "drive", "minutes", "promised_sd", "sd",

@@ -25,6 +25,7 @@ from pmcl.criticism.findings.result import Criticism, JudgedFit
 from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out, predicted_log
+from pmcl.criticism.fitting.next_drive import next_drive
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.spare_effects import without_spare_effects
 from pmcl.criticism.fitting.trials import Trial
@@ -247,14 +248,22 @@ class Loop:
         """Add the effect that a search accepted; return the model with it, judged."""
         assert outcome.accepted is not None
         assert outcome.found is not None
-        return self._added(last, outcome.accepted, outcome.trials, outcome.found, decision.format(outcome.found.name))
+        name, found = outcome.found.name, outcome.found
+        self.settings.tell(
+            f"named {with_place(outcome.found)}: {outcome.accepted.evidence:+.1f} nats of evidence",
+            "looking for the drive that would tell it from its near twins" if found.not_distinguishable_from else "",
+        )
+        if found.not_distinguishable_from:
+            seed = stream_seed(self.settings.seed, "what to record next")
+            drive = next_drive(outcome.credible, self.log, particles=self.settings.particles, seed=seed)
+            found = replace(found, record_next=drive)
+        return self._added(last, outcome.accepted, outcome.trials, found, decision.format(name))
 
     def _added(
         self, last: JudgedFit, accepted: Trial, trials: Sequence[Trial], found: FoundEffect, decision: str
     ) -> JudgedFit:
         """Record a step that adds an effect; return the model with it, judged."""
         assert accepted.effect is not None
-        self.settings.tell(f"named {with_place(accepted.effect)}: {accepted.evidence:+.1f} nats of evidence")
         self._record(last, trials, decision, accepted)
         before = self.held_out
         accepted = self._without_spare(accepted)

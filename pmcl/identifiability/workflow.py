@@ -15,7 +15,7 @@ from pmcl.errors import DensityError, FilterError, LogError, ModelError, PmclErr
 from pmcl.filtering.estimated_path import START_PARTICLES, plausible_theta, with_estimated_path
 from pmcl.filtering.linearised_evidence import LinearisedEvidence, improved
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
-from pmcl.identifiability.drives import Drive, drives_for, information_per_row
+from pmcl.identifiability.information import information_per_row
 from pmcl.identifiability.result import CANNOT_TELL, Advice, Identification, Prediction
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.parameters import Parameter
@@ -24,6 +24,7 @@ from pmcl.posterior.compat import bulk_ess
 from pmcl.preflight.check import require_rows
 from pmcl.sampling.approximate import WeightedDraws, equal_draws, log_posterior, mode_of, weighted_draws
 from pmcl.sampling.transforms import Unconstrained
+from pmcl.simulations.drives import Drive, drives_for, moves_sideways
 from pmcl.streams import stream_seed
 
 __all__ = ["identify"]
@@ -47,8 +48,6 @@ _EFFORT, _CONTINUED, _ENOUGH_DRAWS = LONG, 4, 100.0
 _STRONG = 0.7
 # Fewer effective draws than these are told: standard deviations are then uncertain by a tenth or more.
 _FEW_DRAWS = 50.0
-# Odometry to the side, as a share of that ahead, from which on a robot is taken to be able to move sideways.
-_SIDEWAYS = 0.1
 
 
 def identify(log: RobotLog, model: RobotModel | None = None, *, drives: bool = True, seed: int = 0) -> Identification:
@@ -228,7 +227,7 @@ def _information_of_drives(
         return {}, ["no drives were tried: the state of this model is no pose"]
     found: dict[Drive, Float] = {}
     problems = []
-    for drive in drives_for(log, path, sideways=_moves_sideways(log, model)):
+    for drive in drives_for(log, path, sideways=moves_sideways(log, model)):
         try:
             found[drive] = information_per_row(drive, log, path, model, theta, seed)
         except DensityError:
@@ -237,11 +236,6 @@ def _information_of_drives(
             problems.append(str(error))
     # A sensor that cannot be simulated, for example, lets no drive be tried.
     return found, [] if found else [f"no drives were tried: {problems[0]}"]
-
-
-def _moves_sideways(log: RobotLog, model: RobotModel) -> bool:
-    ahead, aside, _ = np.sqrt(np.mean(np.square(log.odometry[1:]), axis=0))
-    return bool(getattr(model.motion, "moves_sideways", False)) or bool(aside > _SIDEWAYS * ahead)
 
 
 def _with_advice(

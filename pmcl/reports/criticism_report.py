@@ -9,7 +9,14 @@ from dataclasses import replace
 
 from pmcl.criticism.findings.parts import Candidate, Estimate, Step, Unexplained
 from pmcl.criticism.findings.result import Criticism
-from pmcl.criticism.findings.verdict import as_percentage, channels_of, likeness_of, window_of, with_place
+from pmcl.criticism.findings.verdict import (
+    as_percentage,
+    channels_of,
+    likeness_of,
+    next_drive_of,
+    window_of,
+    with_place,
+)
 from pmcl.criticism.judging.alarms import Alarm
 from pmcl.reports.criticism_figures import label_of, plot_candidates, plot_channels, plot_gains, plot_map, plot_pit
 from pmcl.reports.html import Picture, page, picture, write_page
@@ -55,6 +62,7 @@ def write_criticism_report(
         with_place=with_place,
         as_percentage=as_percentage,
         likeness_of=likeness_of,
+        next_drive_of=next_drive_of,
         window_of=window_of,
         nothing=as_percentage(criticism.nothing_probability),
         parameters=_parameters(criticism),

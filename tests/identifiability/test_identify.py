@@ -11,13 +11,14 @@ from scipy import stats
 
 import pmcl
 from pmcl.identifiability import Prediction, identify
-from pmcl.identifiability.drives import drives_for, information_per_row
+from pmcl.identifiability.information import information_per_row
 from pmcl.identifiability.result import CANNOT_TELL, Advice
 from pmcl.models.motions.increments.motion import GrowingIncrementNoise
 from pmcl.models.robot_model import RobotModel, default_model
 from pmcl.models.sensors.landmarks.sensor import LandmarkNoise
 from pmcl.reports.identification_report import identification_text, write_identification_report
 from pmcl.simulations import simulate_landmark_field
+from pmcl.simulations.drives import drives_for
 
 THETA = {"sigma_forward": 0.05, "sigma_left": 0.03, "sigma_turn": 0.05}
 

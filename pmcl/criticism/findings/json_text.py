@@ -56,6 +56,7 @@ def effect_entry(effect: FoundEffect, log_times: tuple[float, float]) -> dict[st
             {"name": other.name, "where": _where(other.where), "probability": other.probability}
             for other in effect.alternatives
         ],
+        "record_next": effect.record_next._asdict() if effect.record_next is not None else None,
         **_window(effect, log_times),
     }
 

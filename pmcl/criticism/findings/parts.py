@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from pmcl.criticism.fitting.held_out import Gap
+from pmcl.criticism.fitting.next_drive import NextDrive
 from pmcl.criticism.fitting.when import Acting
 from pmcl.criticism.judging.alarms import Alarm
 
@@ -98,6 +99,9 @@ class FoundEffect:
         When it acts; None where it acts throughout the log. The model has it throughout all the same.
     while_acting : mapping of str to Estimate
         Its parameters while it acts, from the rows in which it does; empty where they are not known.
+    record_next : NextDrive or None
+        The drive that would tell it best from :attr:`not_distinguishable_from`, in the same order; None where these are
+        none, or no drive can be simulated.
     """
 
     name: str
@@ -115,6 +119,7 @@ class FoundEffect:
     alternatives: tuple[Alternative, ...] = ()
     acting: Acting | None = None
     while_acting: Mapping[str, Estimate] = field(default_factory=dict)
+    record_next: NextDrive | None = None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pmcl.models.effects.effect import Effect
 
 __all__ = [
     "EXPLAINED", "NOTHING", "UNKNOWN", "as_percentage", "channels_of", "finding_of", "likeness_of",
-    "sentence_of", "size_throughout", "verdict_of", "window_of", "with_place",
+    "next_drive_of", "sentence_of", "size_throughout", "verdict_of", "window_of", "with_place",
 ]  # fmt: skip
 
 NOTHING, EXPLAINED, UNKNOWN = "no missing effect", "explained", "unknown effect"
@@ -28,6 +28,8 @@ _WITHOUT_EFFECT, _BESIDE_EFFECT = 0.02, 0.01
 _CHANGED = 2.0
 # Times whose interval is at least so long [s] are told in full seconds (chosen by hand).
 _FULL_SECONDS = 2.0
+# A drive is recommended where it tells more often than not.
+_WORTH_A_DRIVE = 0.5
 # More beams or landmarks than this are counted instead of listed in the sentence.
 _MOST_LISTED = 8
 
@@ -161,7 +163,7 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
     log : RobotLog
         The log; its landmarks are named as in it.
     """
-    alike = "".join(f"; {text}" for text in likeness_of(effect))
+    alike = "".join(f"; {text}" for text in (*likeness_of(effect), *next_drive_of(effect)))
     probability = as_percentage(effect.probability)
     if probability:
         alike = f", probability {probability}{alike}"
@@ -174,6 +176,38 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
     places = {kind: _as_text(values, kind, log) for kind, values in effect.where.items()}
     parameters = effect.while_acting or effect.parameters
     return f"{effect.finding.format(*parameters.values(), **places)}{when} ({effect.name}{alike})"
+
+
+def next_drive_of(effect: FoundEffect) -> tuple[str, ...]:
+    """Say what to record next to learn which of the effects that a log cannot tell apart is right.
+
+    Parameters
+    ----------
+    effect : FoundEffect
+        The accepted effect.
+
+    Returns
+    -------
+    tuple of str
+        No, one or two clauses.
+    """
+    drive = effect.record_next
+    if drive is None:
+        return ()
+    chances = dict(zip(effect.not_distinguishable_from, drive.probabilities, strict=True))
+    told = [twin for twin, chance in chances.items() if chance > _WORTH_A_DRIVE]
+    clauses = []
+    if told:
+        least = as_percentage(min(chances[twin] for twin in told))
+        which = " and ".join(told)
+        clauses.append(
+            f"record {drive.seconds / 60.0:g} minutes of '{drive.name}' next, which tell it from {which} with a "
+            f"probability of {least}"
+        )
+    if untold := [twin for twin in chances if twin not in told]:
+        which = " or ".join(untold)
+        clauses.append(f"no drive that was tried is likely to tell it from {which}")
+    return tuple(clauses)
 
 
 def window_of(effect: FoundEffect) -> str:

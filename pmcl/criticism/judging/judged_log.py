@@ -24,8 +24,8 @@ __all__ = ["JudgedLog", "in_doubt", "judge_log", "with_directions", "with_more_s
 Float = NDArray[np.float64]
 
 # An alarm whose p-value (all families considered) is above _BEYOND_DOUBT is judged again with up to _MORE_SIMULATIONS
-# times as many simulated logs: thirty give the spread of a number to an eighth only, so that a p-value of 1 % may be one
-# of 10 %. Both are chosen by hand on logs without a hidden effect (block 0 of analyses/hidden_effects).
+# times as many simulated logs: thirty give the spread of a number to an eighth only, so that a p-value of 1 % may be
+# one of 10 %. Both are chosen by hand on logs without a hidden effect (block 0 of analyses/hidden_effects).
 _BEYOND_DOUBT, _MORE_SIMULATIONS = 1e-5, 3
 # The number of simulated logs is at least _LEAST_SIMULATIONS and _PER_PARAMETER for each parameter, because the
 # parameters' scores are projected out of every number (chosen by hand).

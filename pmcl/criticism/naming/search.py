@@ -58,12 +58,15 @@ class Outcome(NamedTuple):
         All candidates that were refitted.
     probable : Explanations
         How probable each explanation is.
+    credible : tuple of Trial
+        The effects that may be meant, the accepted one first; empty where none was accepted.
     """
 
     accepted: Trial | None
     found: FoundEffect | None
     trials: list[Trial]
     probable: Explanations
+    credible: tuple[Trial, ...] = ()
 
     @property
     def certain(self) -> bool:
@@ -252,7 +255,7 @@ class Search:
         if formulas is not None and any(direction.effect is best.effect for direction in formulas.directions):
             judgement, directions = formulas.judgement, formulas.directions
         found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
-        return Outcome(best, found, trials, probable)
+        return Outcome(best, found, trials, probable, tuple(credible))
 
 
 def _effect(trial: Trial) -> Effect:

@@ -1,31 +1,26 @@
-"""Drives that might tell more about a robot, and how much they would tell.
+"""Drives that might tell more about a robot.
 
 A drive is simulated in short pieces. Each begins at a place that the log has visited, so that the drive stays where the
 robot can go on this map, and is driven open loop, so that motion noise is that of the model. Which readings a row would
 have is taken from the row of the log with the nearest pose; what they would read is drawn by the sensor's own
-simulation. The information of the pieces about theta is the curvature of their linearised evidence.
+simulation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.linearised_evidence import LinearisedEvidence
-from pmcl.filtering.particle_filter import make_rng
 from pmcl.geometry import wrap
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import RobotModel
 from pmcl.models.sensor import sensor_of
-from pmcl.sampling.approximate import curvature_at
-from pmcl.sampling.transforms import Unconstrained
 from pmcl.simulations.simulate import simulate_path
 
-__all__ = ["Drive", "drives_for", "information_per_row"]
+__all__ = ["Drive", "drives_for", "moves_sideways", "simulated_pieces"]
 
 Float = NDArray[np.float64]
 
@@ -42,6 +37,8 @@ _WEAVE = 4
 _STILL = 1e-3
 # A straight line may leave the places of the log by this share of their extent.
 _NEAR = 0.08
+# Odometry to the side, as a share of that ahead, from which on a robot is taken to be able to move sideways.
+_SIDEWAYS = 0.1
 # How many places of the log are looked at.
 _PLACES = 60
 # Belief about the pose at which a piece begins [m, m, rad], that of a robot that is followed.
@@ -127,6 +124,20 @@ def drives_for(log: RobotLog, path: Float, *, sideways: bool) -> tuple[Drive, ..
     return tuple(drives)
 
 
+def moves_sideways(log: RobotLog, model: RobotModel) -> bool:
+    """Return whether a robot can move across its heading, by its motion model or its odometry.
+
+    Parameters
+    ----------
+    log : RobotLog
+        The log.
+    model : RobotModel
+        Its model.
+    """
+    ahead, aside, _ = np.sqrt(np.mean(np.square(log.odometry[1:]), axis=0))
+    return bool(getattr(model.motion, "moves_sideways", False)) or bool(aside > _SIDEWAYS * ahead)
+
+
 def _commands(forward: Float, left: Float, turn: Float) -> Float:
     return np.stack([forward, left, turn], axis=-1)
 
@@ -170,10 +181,16 @@ def _longest_line(path: Float, step: float) -> _Line:
     return best if best.length >= step else _Line(best.start, 5.0 * step)
 
 
-def information_per_row(
-    drive: Drive, log: RobotLog, path: Float, model: RobotModel, theta: Float, seed: int
-) -> Float:
-    """Return how much each row of a drive would tell about unconstrained parameters.
+def simulated_pieces(
+    drive: Drive,
+    log: RobotLog,
+    path: Float,
+    model: RobotModel,
+    theta: Float,
+    rng: np.random.Generator,
+    start_std: tuple[float, float, float] | None = None,
+) -> tuple[list[RobotLog], list[Float]]:
+    """Simulate a drive.
 
     Parameters
     ----------
@@ -187,40 +204,30 @@ def information_per_row(
         The model.
     theta : ndarray, shape (d,)
         Parameters at which the drive is simulated.
-    seed : int
-        All randomness follows from it.
+    rng : numpy.random.Generator
+        Source of randomness.
+    start_std : tuple of float, optional
+        What the pieces say of how well their start is known [m, m, rad]. When left out they say what is true, and as
+        much as the filter of a robot that is followed knows: such a filter has no bias.
 
     Returns
     -------
-    ndarray, shape (d, d)
-        Expected second derivatives of the negative log evidence [nat/row], without the prior, and without directions
-        in which it is convex by chance.
+    logs : list of RobotLog
+        The pieces in which something is read, each of as many rows as the drive's commands.
+    paths : list of ndarray, shape (L, D)
+        Their true paths.
     """
-    rng = make_rng(np.random.SeedSequence((seed, 37)))
     logs, paths = [], []
     for start, command in zip(drive.starts, drive.commands, strict=True):
         piece = _piece(log, path, start, command)
         if piece.n_readings > 0:
             simulated, true_path = _simulated(piece, model, theta, rng)
+            if start_std is not None:
+                said = simulated.dataset.assign(start_std=simulated.dataset["start_std"].copy(data=np.array(start_std)))
+                simulated = _Piece.trusted(said, simulated.where, simulated.grid_map)
             logs.append(simulated)
             paths.append(true_path)
-    if not logs:
-        return np.zeros((theta.size, theta.size))
-    bound = model.bind(logs)
-    transform = Unconstrained(bound.parameters)
-    evidence = LinearisedEvidence(bound, theta, paths)
-    likelihood = _likelihood(evidence, transform)
-    matrix = curvature_at(likelihood, transform.to_line(theta))
-    values, vectors = np.linalg.eigh(matrix / (drive.commands.shape[0] * (drive.commands.shape[1] - 1)))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
-def _likelihood(evidence: LinearisedEvidence, transform: Unconstrained) -> Callable[[Float], float]:
-    def density(u: Float) -> float:
-        with np.errstate(all="ignore"):
-            return evidence(transform.from_line(u)[0])
-
-    return density
+    return logs, paths
 
 
 def _piece(log: RobotLog, path: Float, start: Float, command: Float) -> RobotLog:
