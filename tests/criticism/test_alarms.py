@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmcl.criticism.judging.alarms import BlockSums, deviations, judge, sums_of_rows
+from pmcl.criticism.judging.alarms import judge
+from pmcl.criticism.judging.deviations import BlockSums, deviations, sums_of_rows
 from pmcl.criticism.scoring.features import Feature
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.filtering.paired_scores import block_sums

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from pmcl.criticism.judging.alarms import BlockSums, OwnSpread, deviations, family_critical_z
+from pmcl.criticism.judging.alarms import family_critical_z
+from pmcl.criticism.judging.deviations import BlockSums, OwnSpread, deviations
 from pmcl.criticism.judging.judged_log import JudgedLog
 from pmcl.criticism.naming.candidates import RankedEffect
 from pmcl.criticism.naming.formulas import SteadyChange, steady_changes, wave
