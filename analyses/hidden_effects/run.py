@@ -108,7 +108,8 @@ class FirstName(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take the time of a step of the run."""
-        if record.getMessage().startswith(("named ", "added ")) and np.isnan(self.seconds):
+        message = record.getMessage().partition("] ")[2]  # after the elapsed time
+        if message.startswith(("named ", "added ")) and np.isnan(self.seconds):
             self.seconds = time.process_time() - self.started
 
     def __enter__(self) -> "FirstName":
