@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from pmcl.checks import file_name
 from pmcl.errors import PosteriorError
 from pmcl.filtering.tracker import Beliefs
 from pmcl.hdf5 import stored_arrays
@@ -160,7 +161,7 @@ def make_track(prepared: Prepared, beliefs: Beliefs, settings: dict[str, Any]) -
             "format": FORMAT,
             "pmcl_version": importlib.metadata.version("pmcl"),
             "robot": log.robot,
-            "source": log.where,
+            "source": file_name(log.where),
             "log_fingerprint": log.fingerprint(),
             **settings,
             **_theta_attribute(prepared),

@@ -123,4 +123,5 @@ def write_page(text: str, path: str | os.PathLike[str]) -> None:
         If the file cannot be written.
     """
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        # Bytes of a file's name that are no UTF-8 become question marks.
+        temporary.write_text(text, encoding="utf-8", errors="replace")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -24,3 +26,8 @@ def test_data_files_and_the_command_are_installed():
     assert (home / "reports" / "templates" / "posterior.html.j2").is_file()
     (command,) = [entry for entry in entry_points(group="console_scripts") if entry.name == "pmcl"]
     assert callable(command.load())
+
+
+def test_the_command_line_is_a_module_too():
+    done = subprocess.run([sys.executable, "-m", "pmcl", "--version"], capture_output=True, text=True, check=True)
+    assert pmcl.__version__ in done.stdout

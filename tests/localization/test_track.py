@@ -34,6 +34,13 @@ def test_a_track_holds_what_the_format_says(track, room_log, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["track.nc"]
 
 
+def test_a_log_whose_name_is_no_utf_8_has_a_track(room_log, theta, tmp_path):
+    """On Linux a name may be any bytes, and Python gives those that are no UTF-8 as lone surrogates."""
+    log = pmcl.RobotLog.from_dataset(room_log.dataset, "/folder/log\udcff.nc", room_log.grid_map)
+    pmcl.localize(log, theta=theta, particles=50).write(tmp_path / "track\udcff.nc")
+    assert Track.read(tmp_path / "track\udcff.nc").dataset.attrs["source"] == "log?.nc"
+
+
 def test_uncertainties_are_covariances(track):
     assert (track.ess >= 1.0).all()
     assert (track.ess <= 100.0 + 1e-9).all()

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from pmcl.reports.html import write_page
 from pmcl.reports.terms import TERMS, explain_terms
 
 # mypy: disable-error-code="no-untyped-def"
@@ -35,3 +36,8 @@ def test_nothing_else_changes():
 
 def test_longer_words_are_left_alone():
     assert explain_terms("<p>PITCH, native, alternate priority</p>") == "<p>PITCH, native, alternate priority</p>"
+
+
+def test_a_page_may_speak_of_a_file_whose_name_is_no_utf_8(tmp_path):
+    write_page("<p>log\udcff.nc</p>", tmp_path / "page.html")
+    assert (tmp_path / "page.html").read_text(encoding="utf-8") == "<p>log?.nc</p>"
