@@ -173,6 +173,11 @@ class Loop:
                 self._nothing_is(0.0)
                 last = self._accept(last, shown, "add {}: the data show it")
                 continue
+            suspicion = None if alarms or number == rounds else self.search.explain_suspicion(last, current)
+            if suspicion is not None:
+                self._nothing_is(suspicion.probable.nothing)
+                last = self._accept(last, suspicion, "add {}: its evidence is clear, though it raised no alarm")
+                continue
             if not alarms or number == rounds:
                 self._record(last, [], f"stop after {rounds} effects" if alarms else "nothing unusual")
                 break

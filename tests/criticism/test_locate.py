@@ -69,7 +69,7 @@ def test_p_values_of_what_is_unexplained_count_all_families():
     p_values = {"uniformity": 0.01, "serial": 0.02, "covariate": 0.9, "score": 0.005}
     raised = {"uniformity": True, "serial": True, "covariate": False, "score": True}
     alarms = tuple(Alarm(name, p, raised[name], Feature(name, "range"), 3.0) for name, p in p_values.items())
-    judgement = Judgement(alarms, np.empty(0), np.empty(0), np.empty(0), np.empty(0), np.inf, (), np.empty(0))
+    judgement = Judgement(alarms, *6 * (np.empty(0),), np.inf, (), np.empty(0))
     assert [alarm.family for alarm in judgement.raised] == ["score", "uniformity", "serial"]
     assert judgement.raised_p_values == pytest.approx((0.02, 0.03, 0.04))
     assert judgement.raised_p_values[0] == judgement.p_value

@@ -64,6 +64,8 @@ class Judgement:
     score, score_std : ndarray, shape (K,)
         Each candidate's score, after the model's parameters are projected out and its largest block is bounded, and its
         standard deviation when the model is right [nat].
+    plain_z, plain_std : ndarray, shape (K,)
+        The same as `z` and `score_std` without the rules by which no few rows decide. They raise no alarm.
     critical_z : float
         Bound that the greatest |z| of all candidates exceeds in 5 % of logs without a missing effect.
     features : tuple of Feature
@@ -77,6 +79,8 @@ class Judgement:
     p_values: Float
     score: Float
     score_std: Float
+    plain_z: Float
+    plain_std: Float
     critical_z: float
     features: tuple[Feature, ...]
     feature_z: Float
@@ -153,6 +157,7 @@ def judge(
         [sums_of_rows(log.scores, log.parameter_scores) for log in logs], one_sided
     )
     score_z = of_scores.z
+    plain = deviations([BlockSums(_whole(log.scores), _whole(log.parameter_scores)) for log in logs], one_sided)
     features = scored.features
     feature_sides = np.array([feature.one_sided for feature in features], dtype=bool)
     n_residuals = scored.residual_blocks.shape[0]
@@ -196,8 +201,14 @@ def judge(
     )
     p_values = _p_values(score_z[0], one_sided)
     return Judgement(
-        alarms, score_z[0], p_values, of_scores.value, of_scores.std, critical, features, number_z[0]
-    )
+        alarms, score_z[0], p_values, of_scores.value, of_scores.std, plain.z[0], plain.std, critical, features,
+        number_z[0],
+    )  # fmt: skip
+
+
+def _whole(rows: Float) -> Float:
+    """Return sums over all rows (F, T) as a single block."""
+    return np.asarray(rows.sum(axis=1, keepdims=True))
 
 
 def family_critical_z(z: Float) -> float:

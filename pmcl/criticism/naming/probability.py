@@ -28,7 +28,7 @@ from pmcl.models.effects.formula import PREFIX
 
 __all__ = [
     "CREDIBLE", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
-    "log_prior_odds", "nothing_without_refits", "with_probabilities",
+    "log_prior_odds", "nothing_without_refits", "suspects", "with_probabilities",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -236,7 +236,38 @@ def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]
     directions : sequence of Direction
         The K candidates of these tests.
     """
-    promised = evidence_of_scores(directions, judgement.score, judgement.score_std)
+    nothing, _ = _by_scores_alone(directions, judgement.score, judgement.score_std, judgement.p_value)
+    return nothing
+
+
+def suspects(judgement: Judgement, directions: Sequence[Direction]) -> list[Effect]:
+    """Return the effects that may be right by their scores as they are, though no alarm may be raised.
+
+    A test lets no few rows decide, for a false alarm is worse than a missed one. An effect that acts in few rows, such
+    as steps with heavy tails, hardly passes it. Its evidence, once it is fitted, tells whether it is there.
+
+    Parameters
+    ----------
+    judgement : Judgement
+        Tests of the log.
+    directions : sequence of Direction
+        The K candidates of these tests.
+
+    Returns
+    -------
+    list of Effect
+        Those that could have a part in the answer: with a probability above one less :data:`CREDIBLE`.
+    """
+    score = judgement.plain_z * judgement.plain_std
+    _, probabilities = _by_scores_alone(directions, score, judgement.plain_std, judgement.p_value)
+    return [effect for effect, probability in probabilities if probability > 1.0 - CREDIBLE]
+
+
+def _by_scores_alone(
+    directions: Sequence[Direction], score: Float, std: Float, p_value: float
+) -> tuple[float, list[tuple[Effect, float]]]:
+    """Return the probabilities of nothing and of each effect, from scores alone."""
+    promised = evidence_of_scores(directions, score, std)
     effects: dict[object, list[float]] = {}
     kept: dict[object, Effect] = {}
     for direction, value in zip(directions, promised, strict=True):
@@ -246,8 +277,8 @@ def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]
     prior = _priors(list(kept.values()), directions, 1)
     # Of an effect with several strengths each is a model of its own, alike probable.
     evidence = [special.logsumexp(values) - np.log(len(values)) for values in effects.values()]
-    terms = np.log(prior) + np.array([0.0, _evidence_bound(judgement.p_value), *evidence])
-    return float(special.softmax(terms)[0])
+    nothing, _, *others = special.softmax(np.log(prior) + np.array([0.0, _evidence_bound(p_value), *evidence]))
+    return float(nothing), list(zip(kept.values(), map(float, others), strict=True))
 
 
 def _priors(effects: Sequence[Effect], directions: Sequence[Direction], formulas: int) -> Float:

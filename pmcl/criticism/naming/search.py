@@ -21,13 +21,14 @@ from typing import NamedTuple
 from pmcl.criticism.findings.assemble import found_effect
 from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.findings.result import JudgedFit
+from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_simulations
 from pmcl.criticism.naming.candidates import RankedEffect, by_score, twins_of, untried
 from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
 from pmcl.criticism.naming.lost_robot import Recovery, recover
-from pmcl.criticism.naming.probability import Explanations, explanations, with_probabilities
+from pmcl.criticism.naming.probability import Explanations, explanations, suspects, with_probabilities
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
 from pmcl.criticism.settings import Settings
@@ -167,7 +168,28 @@ class Search:
                     return Outcome(trial, replace(found, p_value=0.0), [trial], probable)
         return None
 
-    def explain(self, last: JudgedFit, current: Trial, further: bool = True) -> Outcome:
+    def explain_suspicion(self, last: JudgedFit, current: Trial) -> Outcome | None:
+        """Return the effect for which the log speaks clearly, although it raised no alarm; None where there is none.
+
+        Parameters
+        ----------
+        last : JudgedFit
+            The model, fitted and judged.
+        current : Trial
+            The same model, scored.
+        """
+        suspected = {instance_key(effect) for effect in suspects(last.judgement, self.directions)}
+        ranked = by_score(self.directions, last.judgement)
+        chosen = [one for one in ranked if instance_key(one.effect) in suspected]
+        if not chosen:
+            return None
+        self.settings.tell("no alarm, but a suspicion: " + ", ".join(with_place(one.effect) for one in chosen))
+        outcome = self.explain(last, current, further=False, first=chosen)
+        return outcome if outcome.certain else None
+
+    def explain(
+        self, last: JudgedFit, current: Trial, further: bool = True, first: Sequence[RankedEffect] | None = None
+    ) -> Outcome:
         """Look for the effect that explains the alarms of a model.
 
         Parameters
@@ -178,13 +200,15 @@ class Search:
             The same model, scored.
         further : bool
             Whether to go on if the likeliest candidates do not explain the alarms.
+        first : sequence of RankedEffect, optional
+            Candidates that are fitted first, instead of those whose scores promise most.
         """
         candidates = by_score(self.directions, last.judgement)
         formulas: FormulaCandidates | None = None
         trials: list[Trial] = []
         probable = self._explanations(last, current, trials, formulas)
         worth_a_fit = [one for one in candidates if one.worth_a_fit]
-        chosen = worth_a_fit[:_BATCH]
+        chosen = worth_a_fit[:_BATCH] if first is None else list(first)
         while chosen:
             trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
             probable = self._explanations(last, current, trials, formulas)
