@@ -122,7 +122,8 @@ class Runs(NamedTuple):
             except CriticismError:  # too few readings
                 return None
             except FilterError as error:
-                row = min(row, _row(error, part))
+                # A loss in a log that the fitted model simulates is at no row of this one.
+                row = row if error.row is None else min(row, _row(error, part))
         return None
 
     def _unanswered(self, log: RobotLog, base: RobotModel, row: int, tried: str) -> Criticism:
@@ -144,7 +145,7 @@ class Runs(NamedTuple):
             split=split,
             first=None,
             last=None,
-            notes=(f"{tried}; before that there are too few rows to be judged",),
+            notes=(f"{tried}; the rows before that are too few, or no filter follows there either",),
             settings=self.settings.recorded(split, log.fingerprint(), self.other),
         )
 

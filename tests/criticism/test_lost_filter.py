@@ -94,6 +94,13 @@ def test_a_part_is_shortened_until_the_filter_follows_and_gross_errors_may_reach
     assert answer.base.sensors[0].outliers
 
 
+def test_a_part_whose_simulated_logs_lose_the_robot_is_shortened_too(log):
+    """Such a loss is at no row of the log."""
+    runs, answer = answered(log, lambda gross, n: 150 if n == 240 else UNKNOWN_ROW if n > 100 else None)
+    assert [one[:2] for one in runs] == [(False, 240), (True, 240), (False, 130), (False, 110), (False, 90)]
+    assert answer.loss.partial
+
+
 @pytest.mark.parametrize("row", [0, UNKNOWN_ROW, LEAST_ROWS])
 def test_where_nothing_helps_the_answer_says_where_the_robot_is_lost(log, tmp_path, row):
     runs, answer = answered(log, lambda gross, n: row)
@@ -102,7 +109,7 @@ def test_where_nothing_helps_the_answer_says_where_the_robot_is_lost(log, tmp_pa
     row = 0 if row == UNKNOWN_ROW else row
     when = f"t={log.times[row]:g} s"
     assert answer.sentence.endswith(f"missing that no known effect explains: the filter loses the robot at {when}")
-    assert "too few rows" in answer.notes[0]
+    assert "the rows before that are too few" in answer.notes[0]
     content = json.loads(answer.to_json())
     assert content["steps"][0]["gap"]["log_score_per_reading"] is None
     assert content["unexplained"][0]["time"] == [row, 239]
