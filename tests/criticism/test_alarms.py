@@ -10,6 +10,7 @@ from scipy import stats
 
 from pmcl.criticism.judging.alarms import judge
 from pmcl.criticism.judging.deviations import BlockSums, deviations, sums_of_rows
+from pmcl.criticism.naming.probability import suspects
 from pmcl.criticism.scoring.features import Feature
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.filtering.paired_scores import block_sums
@@ -156,6 +157,23 @@ def test_no_single_block_makes_an_alarm(rng):
     assert z["all"] > 6.0
     assert 3.0 < z["two blocks"] < z["all"]
     assert abs(z["one row"]) < 3.0
+
+
+def test_a_score_from_one_row_raises_no_alarm_and_makes_its_effect_a_suspect(rng):
+    """Half of its nats would be enough if they came from all rows."""
+    directions, quiet, suspected, of_sound_logs = _directions(), 0, 0, 0
+    for _ in range(10):
+        scored, simulated = _scored_log(rng), [_scored_log(rng) for _ in range(LOGS)]
+        scored.scores[5, 50] += 12.0
+        judged = judge(scored, simulated, directions, level=0.05)
+        quiet += not judged.raised
+        assert judged.plain_z[5] > judged.z[5]
+        suspected += [one.name for one in suspects(judged, directions)] == ["e5"]
+        scored.scores[5, 50] -= 12.0
+        of_sound_logs += bool(suspects(judge(scored, simulated, directions, level=0.05), directions))
+    assert quiet >= 8
+    assert suspected >= 8
+    assert of_sound_logs <= 3
 
 
 def test_numbers_that_are_no_sums_keep_all_they_have(rng):

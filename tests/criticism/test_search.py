@@ -46,7 +46,8 @@ class Case:
         self.evidence, self.done, scores = evidence, [], scores or {}
         z = np.array([scores.get(one.effect.name, 0.0) for one in self.search.directions])
         self.last = SimpleNamespace(judgement=SimpleNamespace(
-            z=z, score=z, score_std=np.ones(z.size), p_value=p_value, p_values=np.ones(z.size), critical_z=3.0,
+            z=z, score=z, score_std=np.ones(z.size), plain_z=z, plain_std=np.ones(z.size), p_value=p_value,
+            p_values=np.ones(z.size), critical_z=3.0,
         ))  # fmt: skip
         scored = directions_of([one.effect for one in formulas])
         offered = FormulaCandidates(list(formulas), scored, SimpleNamespace(p_values=np.ones(len(scored))))
@@ -137,6 +138,23 @@ def test_where_the_likeliest_explain_nothing_further_candidates_are_tried_unless
     outcome = case.explain()
     assert outcome.found.name == "odometry-turn-scale"
     assert len(set(case.names("glance"))) == len(case.names("glance"))  # nothing is fitted again
+
+
+@pytest.mark.parametrize(("evidence", "accepted"), [(-3.0, False), (2.5, False), (12.0, True)])
+def test_a_suspicion_counts_only_if_its_evidence_is_clear(monkeypatch, evidence, accepted):
+    """Without an alarm: what the scores as they are suspect is fitted, with its twins, and nothing else is."""
+    case = Case(monkeypatch, gains(landmark_misread=evidence), {"landmark-misread": 7.0}, p_value=0.5)
+    current = trial_of(None, effort=THOROUGH)
+    outcome = case.search.explain_suspicion(case.last, current)
+    assert (outcome is not None) is accepted
+    assert case.names("glance")[0] == "landmark-misread"
+    assert len(case.names("glance")) <= 4
+    if accepted:
+        assert outcome.found.name == "landmark-misread"
+    case.last.judgement.plain_z = np.zeros(case.last.judgement.z.size)
+    case.done.clear()
+    assert case.search.explain_suspicion(case.last, current) is None
+    assert not case.done
 
 
 def test_nothing_is_answered_where_all_candidates_lose(monkeypatch):
