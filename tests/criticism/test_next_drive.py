@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from pmcl.criticism.findings.json_text import effect_entry
 from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.findings.verdict import next_drive_of
 from pmcl.criticism.fitting import next_drive as module
@@ -105,4 +106,8 @@ def test_the_sentence_says_which_twins_a_drive_tells_and_which_it_does_not():
         "97 %"
     )
     assert untold == "no drive that was tried is likely to tell it from bearing-bias"
+    assert effect_entry(found, (0.0, 1.0))["record_next"] == {
+        "name": "turn in place, both ways", "seconds": 120.0, "probabilities": (0.04, 0.97),
+    }  # fmt: skip
     assert next_drive_of(replace(found, record_next=None)) == ()
+    assert effect_entry(replace(found, record_next=None), (0.0, 1.0))["record_next"] is None

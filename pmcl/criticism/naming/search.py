@@ -10,6 +10,9 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
 4. The search goes on with further candidates until the effects that were tried have nearly all probability, or until
    all candidates were tried.
 5. The most probable effect is the answer, with those that may be meant instead.
+
+Where no alarm is raised, the effects that may be right by their scores as they are go the same way, and count only if
+they have nearly all probability.
 """
 
 from __future__ import annotations
