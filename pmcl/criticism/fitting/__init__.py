@@ -5,6 +5,7 @@ Reading order: :mod:`~pmcl.criticism.fitting.quick_fit` (one short chain), :mod:
 did not see), :mod:`~pmcl.criticism.fitting.evidence` (evidence from the draws of a fit),
 :mod:`~pmcl.criticism.fitting.trials` (one candidate effect refitted),
 :mod:`~pmcl.criticism.fitting.spare_effects` (effects that a later one makes unnecessary),
-:mod:`~pmcl.criticism.fitting.when` (when a found effect acts), :mod:`~pmcl.criticism.fitting.next_drive` (what to record
-next where effects cannot be told apart). The trials go to :mod:`pmcl.criticism.naming`.
+:mod:`~pmcl.criticism.fitting.when` (when a found effect acts),
+:mod:`~pmcl.criticism.fitting.next_drive` (what to record next where effects cannot be told apart). The trials go to
+:mod:`pmcl.criticism.naming`.
 """
