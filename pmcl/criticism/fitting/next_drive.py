@@ -36,6 +36,8 @@ TOLD = 0.9
 # A piece of a drive begins at a pose that is known no better than this [m, m, rad], so that a heading which is off by
 # as much as a sensor's mount is nothing unusual; its first rows find the pose, and only the others count.
 _START_STD, _FINDING = (0.3, 0.3, 0.3), 5
+# How often each drive is simulated: its pieces are then some four times as many as two minutes have.
+_TIMES = 4
 
 
 class NextDrive(NamedTuple):
@@ -128,16 +130,19 @@ def chances_of_telling(
 
 def _chance(drive: Drive, truth: Trial, wrong: Trial, log: RobotLog, particles: int, seed: int) -> float:
     """Return the probability that a drive under one explanation tells it from another one."""
-    rng = make_rng(stream(seed, "drive"))
-    logs, _ = simulated_pieces(drive, log, truth.fit.path, truth.model, truth.fit.theta, rng, _START_STD)
+    rng, logs = make_rng(stream(seed, "drive")), []
+    for _ in range(_TIMES):
+        simulated, _ = simulated_pieces(drive, log, truth.fit.path, truth.model, truth.fit.theta, rng, _START_STD)
+        logs += simulated
     if len(logs) < 2:
         return 0.0
     right, other = (_densities(each.model.bind(logs), each.fit.theta, particles, seed) for each in (truth, wrong))
     gain = right - other
     period = float(np.median(np.diff(log.times)))
     pieces = SECONDS / period / (drive.commands.shape[1] - _FINDING)
-    mean, std = pieces * float(gain.mean()), math.sqrt(pieces) * float(gain.std(ddof=1))
-    above = mean - float(special.logit(TOLD))
+    # The mean of the pieces is not known exactly either.
+    std = math.sqrt(pieces * (1.0 + pieces / gain.size)) * float(gain.std(ddof=1))
+    above = pieces * float(gain.mean()) - float(special.logit(TOLD))
     return float(special.ndtr(above / std)) if std > 0.0 else float(above > 0.0)
 
 
