@@ -7,7 +7,7 @@
 `make` writes logs that tell nothing about what they hide, and one file, sealed.json, that does; only `score` opens it.
 `run` criticises the logs that have no result yet, so it can be stopped and continued. A log whose block, effects and
 seed are in by_probability.csv already is not made again: to enlarge a block, ask for more --seeds.
-Thresholds were chosen on block 0; other blocks have other seeds.
+Blocks differ in their seeds.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.catalogue import CATALOGUE
 
 LOGGER = logging.getLogger("pmcl.criticism")
-RESULTS = Path(__file__).parent / "by_probability.csv"  # results.csv is that of earlier versions
+RESULTS = Path(__file__).parent / "by_probability.csv"
 # For the detection curve: effects of every carrier, small.
 FAINT = (
     "odometry-turn-scale", "odometry-turn-bias", "turn-noise-grows-with-turn", "range-bias", "beam-bias", "sensor-yaw",

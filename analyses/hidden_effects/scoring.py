@@ -1,4 +1,4 @@
-"""What the critic said of a log against what was hidden in it: one row of results.csv for each log."""
+"""What the critic said of a log against what was hidden in it: one row of by_probability.csv for each log."""
 
 import csv
 from pathlib import Path
