@@ -111,6 +111,7 @@ def criticize(
             "--posterior is the result of the full chains that --no-joint leaves out: give one of the two", ctx
         )
     from pmcl.cli.report import print_verdict
+    from pmcl.criticism.findings.verdict import next_drive_of
     from pmcl.criticism.workflow import criticize as run
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.model_file import read_model
@@ -135,6 +136,11 @@ def criticize(
     if better_model is not None:
         found.write_model(better_model)
     click.echo(f"{found.verdict}: {found.sentence}.")
+    for effect in found.effects:
+        for clause in next_drive_of(effect):
+            click.echo(f"{effect.name}: {clause}")
+    for note in found.notes:
+        click.echo(f"note: {note}")
     status = 0
     if better_posterior is not None and found.posterior is None:
         click.echo(f"no posterior: chains lose the robot, too; the notes of {output} say more", err=True)

@@ -7,12 +7,17 @@ import json
 import re
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click import Context
 
 from pmcl.cli.commands import pmcl as application
 from pmcl.cli.criticize import _next_commands
+from pmcl.criticism import workflow
+from pmcl.criticism.findings.parts import FoundEffect
+from pmcl.criticism.fitting.next_drive import NextDrive
+from pmcl.reports import criticism_report
 from pmcl.simulations.amigobot import simulate_amigobot
 
 # mypy: disable-error-code="no-untyped-def"
@@ -74,6 +79,23 @@ def test_the_next_commands_name_the_files_that_were_written():
     for _, line in told:
         name, *words = shlex.split(line)[1:]
         application.get_command(Context(application), name).make_parser(Context(application)).parse_args(args=words)
+
+
+def test_notes_and_what_to_record_next_are_told(run, biased, tmp_path, monkeypatch):
+    drive = NextDrive("turn in place, both ways", 120.0, (0.97,))
+    effect = FoundEffect("odometry-arc", "", {}, {}, 1e-6, 0.0, 0.0, ("odometry-turn-bias",), record_next=drive)
+    found = SimpleNamespace(
+        verdict="explained", sentence="It turns", notes=("500 particles lose the robot",), effects=(effect,),
+        posterior=None,
+    )  # fmt: skip
+    monkeypatch.setattr(workflow, "criticize", lambda *given, **settings: found)
+    monkeypatch.setattr(criticism_report, "write_criticism_report", lambda *given: None)
+    result = run("criticize", biased, "-o", tmp_path / "page.html")
+    assert result.exit_code == 0, result.output
+    first, record, note, *_ = result.stdout.splitlines()
+    assert first == "explained: It turns."
+    assert record.startswith("odometry-arc: record 2 minutes of 'turn in place, both ways' next")
+    assert note == "note: 500 particles lose the robot"
 
 
 @pytest.mark.slow

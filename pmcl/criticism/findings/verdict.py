@@ -163,7 +163,7 @@ def finding_of(effect: FoundEffect, log: RobotLog) -> str:
     log : RobotLog
         The log; its landmarks are named as in it.
     """
-    alike = "".join(f"; {text}" for text in (*likeness_of(effect), *next_drive_of(effect)))
+    alike = "".join(f"; {text}" for text in likeness_of(effect))
     probability = as_percentage(effect.probability)
     if probability:
         alike = f", probability {probability}{alike}"
