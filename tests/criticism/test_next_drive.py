@@ -64,6 +64,54 @@ def test_a_mount_that_is_turned_and_a_bias_of_all_bearings_are_one_and_the_same(
     assert other > 0.9  # one that cannot be told does not hide one that can
 
 
+def test_the_heading_at_the_start_is_not_known_beforehand(log):
+    """A turned sensor and a slide to the side differ in the heading of the robot alone, which a drive has to find."""
+    pair = [explanation(log, "sensor-yaw", -0.1), explanation(log, "odometry-side-drift", 0.1)]
+    drives = {drive.name: drive for drive in drives_for(log, pair[0].fit.path, sideways=False)}
+    for name in ("stand still", "drive straight, forward and back"):
+        assert chances_of_telling(drives[name], pair, log, particles=300, seed=1)[0] < 0.6
+
+
+def test_the_chance_is_that_of_a_normal_number(log, monkeypatch):
+    """Twelve pieces of sixteen rows, whose gains are made up; either explanation may be the true one."""
+    drive = drives_for(log, log.dataset["true_pose"].values, sideways=False)[0]
+    gains = {"first": np.linspace(0.1, 0.5, 48), "second": np.linspace(-0.5, 1.1, 48)}
+
+    def pieces(drive, log, path, model, theta, rng, start_std):
+        assert start_std == module._START_STD
+        return [model.truth] * 12, []
+
+    def trial(name):
+        bound = SimpleNamespace(lengths=[16] * 48, tables=lambda theta: [(name, k) for k in range(48)])
+        model = SimpleNamespace(truth=name, bind=lambda logs: SimpleNamespace(truth=logs[0], **vars(bound)))
+        return SimpleNamespace(model=model, fit=SimpleNamespace(theta=None, path=None))
+
+    truth = []
+
+    def run_filter(tables, length, particles, rng):
+        name, k = tables
+        rows = np.full(length, gains[name][k] / (length - module._FINDING) if name == truth[-1] else 0.0)
+        rows[: module._FINDING] = 1000.0 if name == "first" else 0.0  # where the pose is found, nothing counts
+        return SimpleNamespace(log_increments=rows)
+
+    def pieces_of(*given):
+        logs, paths = pieces(*given)
+        truth.append(logs[0])
+        return logs, paths
+
+    monkeypatch.setattr(module, "simulated_pieces", pieces_of)
+    monkeypatch.setattr(module, "run_filter", run_filter)
+    monkeypatch.setattr(module, "drives_for", None)
+    (chance,) = chances_of_telling(drive, [trial("first"), trial("second")], log, particles=10, seed=1)
+    n = SECONDS / float(np.median(np.diff(log.times))) / (16 - module._FINDING)
+    expected = [
+        special.ndtr((n * gain.mean() - np.log(9.0)) / np.sqrt(n * (1.0 + n / 48) * gain.var(ddof=1)))
+        for gain in gains.values()
+    ]
+    assert chance == pytest.approx(min(expected))
+    assert expected[0] != pytest.approx(expected[1], abs=0.01)
+
+
 def test_nothing_is_recommended_where_the_state_is_no_pose(log):
     one = explanation(log, "sensor-yaw", 0.1)
     one.fit.path = one.fit.path[:, :1]
