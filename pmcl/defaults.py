@@ -19,6 +19,7 @@ __all__ = [
     "MAX_BEAMS",
     "SIMULATION_DURATION",
     "TRAJECTORIES",
+    "TRAJECTORY_STATES",
     "UPDATE_MIN_A",
     "UPDATE_MIN_D",
     "UPDATE_RULES",
@@ -31,7 +32,10 @@ CHAINS: Final = 4
 """Chains that are run and compared with each other."""
 
 TRAJECTORIES: Final = 100
-"""Trajectories of each chain that are kept."""
+"""Trajectories of each chain that are kept; a long log keeps fewer, see :data:`TRAJECTORY_STATES`."""
+
+TRAJECTORY_STATES: Final = 10_000_000
+"""States of all kept trajectories together: 240 MB of poses. Four chains keep 100 trajectories each up to 25 000 rows."""
 
 LOCALIZATION_PARTICLES: Final = 500
 """Particles of a localizing filter."""

@@ -57,7 +57,8 @@ def calibrate(
     draws, chains : int
         Draws per chain after burn-in, number of chains. The ensemble takes more chains when it needs more.
     trajectories : int
-        Trajectories per chain that are kept.
+        Trajectories per chain that are kept; fewer, but at least two, where those of all chains would have more than
+        ten million states.
     seed : int
         The result is a function of it, whatever the pool.
     pool : object with a `map` method, optional
@@ -108,6 +109,8 @@ def calibrate(
     bound = model.bind(logs)
     if bound.dimension == 0:
         raise SamplingError("expected at least one free parameter, but the model fixes all of them; free one")
+    room = defaults.TRAJECTORY_STATES // (options.chains * sum(bound.lengths))
+    options = dataclasses.replace(options, trajectories=min(options.trajectories, max(2, room)))
     compile_for_calibration(bound.tables(bound.prior_mean())[0])
     # Plausible mistakes in the logs are warned of before sampling, and stay with the result.
     attributes = {"model": _model_text(bound), "preflight": checked_logs(bound.logs, model)}

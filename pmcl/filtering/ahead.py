@@ -77,7 +77,7 @@ def _filtering(tables: Tables) -> list[Call]:
     history = (np.empty((1, size, 1)), np.empty((1, 1)), np.empty((1, 1), dtype=np.uint32))
     return [
         (smc.filter_pass, settings),
-        (smc.predictive_pass, (*settings, False)),
+        (smc.predictive_pass, (*settings, False, 1)),
         (smc.conditional_pass, (tables, make_rng(0), np.empty((1, size)), 1)),
         (smc.sample_backward, (tables, make_rng(0), *history, 1)),
     ]

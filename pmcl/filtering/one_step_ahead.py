@@ -34,7 +34,7 @@ class Predictions:
     Attributes
     ----------
     filtered : FilterPass
-        The pass itself.
+        The pass itself; with the particles of the last two rows only where they were not to be kept.
     sensor, kind, channel, time : ndarray of int, shape (N,)
         Sensor in the model; position in `kinds`; beam or landmark; row.
     kinds : tuple of str
@@ -60,14 +60,6 @@ class Predictions:
     low: Float
     high: Float
 
-    def without_particles(self) -> Predictions:
-        """Return the same with a pass whose particles are forgotten; they are most of what it holds."""
-        nothing = replace(
-            self.filtered, particles=self.filtered.particles[:0].copy(), log_weights=np.empty((0, 0)),
-            ancestors=np.empty((0, 0), dtype=np.uint32),
-        )  # fmt: skip
-        return replace(self, filtered=nothing)
-
     def pit(self, rng: np.random.Generator) -> Float:
         """Return probability integral transforms, (N,): uniform and independent when the model is right.
 
@@ -88,6 +80,7 @@ def predict_readings(
     scheme: str = "multinomial",
     threshold: float = 1.0,
     alone: bool = False,
+    keep_particles: bool = True,
 ) -> Predictions:
     """Run a bootstrap particle filter that takes the readings of a row one after another.
 
@@ -98,6 +91,9 @@ def predict_readings(
     alone : bool
         Whether each reading of a sensor is foreseen as if the sensor had read nothing else at that time: from the rows
         before only. Log scores then do not sum to the log evidence.
+    keep_particles : bool
+        Whether the particles of all rows are kept, 36 bytes for each particle and row where states are poses; without
+        it those of the last two rows are, and memory does not grow with n times T.
 
     Returns
     -------
@@ -113,8 +109,9 @@ def predict_readings(
     """
     check_interrupt()
     check_particles(n_particles)
+    rows = n_steps if keep_particles else min(2, n_steps)
     status, t, evidence, particles, log_weights, steps, ancestors, score, low, high = smc.predictive_pass(
-        tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold), alone
+        tables, rng, n_steps, n_particles, AnyScheme(SCHEMES[scheme]), float(threshold), alone, rows
     )
     raise_outcome(status, t, "particle filter")
     filtered = FilterPass(evidence, particles, log_weights, steps[:, 0], steps[:, 1], ancestors)
@@ -165,7 +162,7 @@ def predict_by_passes(
     DensityError
         When a density is not a number.
     """
-    found = [predict_readings(tables, n_steps, n_particles, rng).without_particles() for _ in range(passes)]
+    found = [predict_readings(tables, n_steps, n_particles, rng, keep_particles=False) for _ in range(passes)]
     first = found[0]
     if passes == 1:
         return first

@@ -54,21 +54,22 @@ def _state_before(tables, rng, t, ancestor, history, path, arrays):
     importance resampling; compare Dau and Chopin, On backward smoothing algorithms, 2023).
     """
     particles, log_weights, drawn, work = history.particles, history.log_weights, arrays.drawn, arrays.scratch
-    size, n, count = particles.shape[1], particles.shape[2], drawn.size
+    (rows, size, n), count = particles.shape, drawn.size
+    row = t % rows
     before, after, log_b, b = arrays.states[0], arrays.states[1], work[0], work[1]
     if count == n:
-        before = particles[t]
+        before = particles[row]
         for j in range(n):
             drawn[j] = j
-            log_b[j] = log_weights[t, j]
+            log_b[j] = log_weights[row, j]
     else:
         for j in range(count):
             drawn[j] = min(int(rng.random() * n), n - 1)
         drawn[0] = ancestor
         for j in range(count):
-            log_b[j] = log_weights[t, drawn[j]]
+            log_b[j] = log_weights[row, drawn[j]]
         for d in range(size):
-            source, target = particles[t, d], before[d]
+            source, target = particles[row, d], before[d]
             for j in range(count):
                 target[j] = source[drawn[j]]
     transition_logpdf(tables.motion, t + 1, before, path[t + 1], log_b, work[2:])
@@ -84,31 +85,32 @@ def _state_before(tables, rng, t, ancestor, history, path, arrays):
 
 
 @kernel
-def backward(tables, rng, n_steps, history, path, arrays):
-    """Draw one trajectory backward in time (eqs. 3 to 7) into `path` (T, D); `arrays` is a :class:`BackwardWork`.
+def backward(tables, rng, begin, stop, ancestor, history, path, arrays):
+    """Draw the states stop - 1 ... begin of one trajectory, backward in time (eqs. 3 to 7), into `path` (T, D).
 
-    The last state is drawn with the filter's weights. Returns (status, time, number of states that differ from what
-    `path` held).
+    `ancestor` is the filter's parent of state ``stop``, which `path` holds; or -1 where the filter ended at
+    ``stop - 1``, whose state is then drawn with the filter's weights. `arrays` is a :class:`BackwardWork`. Returns
+    (status, time, number of states that differ from what `path` held, parent of the state at `begin`).
     """
     particles = history.particles
-    size, changed = particles.shape[1], 0
-    status, _, weight_sum = normalise(history.log_weights[n_steps - 1], arrays.weights)
-    if status != FINE:
-        return status, n_steps - 1, changed
-    chosen = draw_index(arrays.weights, weight_sum, rng)
-    for t in range(n_steps - 1, -1, -1):
-        if t < n_steps - 1:
-            ancestor = history.ancestors[t + 1, chosen]
+    (rows, size, _), changed, status, chosen = particles.shape, 0, FINE, 0
+    for t in range(stop - 1, begin - 1, -1):
+        if ancestor < 0:
+            status, _, weight_sum = normalise(history.log_weights[t % rows], arrays.weights)
+            if status == FINE:
+                chosen = draw_index(arrays.weights, weight_sum, rng)
+        else:
             status, chosen = _state_before(tables, rng, t, ancestor, history, path, arrays)
         if status != FINE:
-            return status, t, changed
+            return status, t, changed, ancestor
+        ancestor = np.int64(history.ancestors[t % rows, chosen])
         different = False
         for d in range(size):
-            if path[t, d] != particles[t, d, chosen]:
+            if path[t, d] != particles[t % rows, d, chosen]:
                 different = True
-                path[t, d] = particles[t, d, chosen]
+                path[t, d] = particles[t % rows, d, chosen]
         changed += different
-    return FINE, 0, changed
+    return FINE, begin, changed, ancestor
 
 
 @entry
@@ -121,7 +123,7 @@ def sample_backward(tables, rng, particles, log_weights, ancestors, n_paths):
         np.empty(n), np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
     )
     for k in range(n_paths):
-        status, t, _ = backward(tables, rng, n_steps, history, paths[k], arrays)
+        status, t, _, _ = backward(tables, rng, 0, n_steps, np.int64(-1), history, paths[k], arrays)
         if status != FINE:
             return status, t, paths
     return FINE, 0, paths

@@ -22,14 +22,16 @@ Float = NDArray[np.float64]
 class History(NamedTuple):
     """What a pass of the filter leaves, and what backward sampling needs.
 
+    It holds R rows, all T of the log or only the last ones: row t of the log is in row ``t % R``.
+
     Attributes
     ----------
-    particles : ndarray, shape (T, D, n)
+    particles : ndarray, shape (R, D, n)
         The states.
-    log_weights : ndarray, shape (T, n)
+    log_weights : ndarray, shape (R, n)
         Logs of their weights, not normalised.
-    ancestors : ndarray of uint32, shape (T, n)
-        The parent of each particle; row 0 means nothing.
+    ancestors : ndarray of uint32, shape (R, n)
+        The parent of each particle; that of the log's row 0 means nothing.
     """
 
     particles: Float
@@ -74,40 +76,45 @@ def _effective_size(weights, weight_sum):
 
 
 @kernel
-def forward(tables, rng, n_steps, scheme, threshold, conditional, path, record, arrays):
-    """Run the filter (eqs. 1 and 2) over the first `n_steps` rows.
+def forward(tables, rng, begin, stop, weighted, scheme, threshold, conditional, path, record, arrays):
+    """Run the filter (eqs. 1 and 2) over the rows begin ... stop - 1, going on from row ``begin - 1``.
 
     With `conditional`, particle 0 follows `path` and the others choose their parents independently (conditional SMC:
     Andrieu, Doucet, Holenstein 2010). Weights are reset by resampling only where something was measured since the
     last time: whether it was does not depend on the particles, so this keeps conditional SMC exact.
 
-    `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `arrays` is a
-    :class:`FilterWork`. Returns (status, time, log evidence).
+    `weighted` says whether the weights of row ``begin - 1`` have not been used by a resampling yet; False for a pass
+    from row 0. `record` says how readings are weighed, see :mod:`pmcl.filtering.kernels.weighing`. `arrays` is a
+    :class:`FilterWork`. Returns (status, time, log evidence of these rows, weighted), the last for the next rows.
     """
     particles, log_weights, ancestors = arrays.history
     steps, previous = arrays.steps, arrays.previous
-    size, n = particles.shape[1], particles.shape[2]
+    rows, size, n = particles.shape
     # What resampling needs is no longer needed when a model uses its scratch space.
     weights, draft, work = arrays.scratch[0], arrays.scratch[1:3], arrays.scratch[1:]
     log_evidence, log_norm = 0.0, math.log(n)
-    weighted = False
     weight_sum = float(n)
-    for t in range(n_steps):
-        current, logw = particles[t], log_weights[t]
-        parent = ancestors[t]
+    if weighted:
+        status, greatest, weight_sum = normalise(log_weights[(begin - 1) % rows], weights)
+        if status != FINE:
+            return status, begin - 1, -np.inf, weighted
+        log_norm = greatest + math.log(weight_sum)
+    for t in range(begin, stop):
+        current, logw = particles[t % rows], log_weights[t % rows]
+        parent = ancestors[t % rows]
         if t == 0:
             draw_start(tables.start, rng, current)
             before = current
             for i in range(n):
                 logw[i] = 0.0
         else:
-            before = particles[t - 1]
+            before = particles[(t - 1) % rows]
             if weighted and (conditional or steps[t - 1, 1] <= threshold * n):
                 draw_parents(scheme, weights, weight_sum, rng, parent, draft)
                 if conditional:
                     parent[0] = 0
                 for d in range(size):
-                    source, gathered = particles[t - 1, d], previous[d]
+                    source, gathered = particles[(t - 1) % rows, d], previous[d]
                     for i in range(n):
                         gathered[i] = source[parent[i]]
                 before = previous
@@ -118,7 +125,7 @@ def forward(tables, rng, n_steps, scheme, threshold, conditional, path, record, 
                     parent[i] = i
             propagate(tables.motion, t, rng, before, current, work)
             for i in range(n):
-                logw[i] = log_weights[t - 1, i] if weighted else 0.0
+                logw[i] = log_weights[(t - 1) % rows, i] if weighted else 0.0
         if conditional:
             for d in range(size):
                 current[d, 0] = path[t, d]
@@ -127,7 +134,7 @@ def forward(tables, rng, n_steps, scheme, threshold, conditional, path, record, 
             weigh(record, tables.sensors, t, before, current, logw, weights, work)
             status, greatest, weight_sum = normalise(logw, weights)
             if status != FINE:
-                return status, t, -np.inf
+                return status, t, -np.inf, weighted
             new_norm = greatest + math.log(weight_sum)
             steps[t, 0] = new_norm - log_norm
             steps[t, 1] = _effective_size(weights, weight_sum)
@@ -136,7 +143,7 @@ def forward(tables, rng, n_steps, scheme, threshold, conditional, path, record, 
             weighted = True
         else:
             steps[t, 1] = steps[t - 1, 1] if weighted else float(n)
-    return FINE, n_steps - 1, log_evidence
+    return FINE, stop - 1, log_evidence, weighted
 
 
 @entry
@@ -150,8 +157,8 @@ def filter_pass(tables, rng, n_steps, n, scheme, threshold):
     steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
     history = History(particles, log_weights, ancestors)
     arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
-    status, t, log_evidence = forward(
-        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0), arrays
+    status, t, log_evidence, _ = forward(
+        tables, rng, 0, n_steps, False, scheme, threshold, False, np.empty((0, size)), AllAtOnce(0.0), arrays
     )
     return status, t, log_evidence, particles, log_weights, steps, ancestors
 
@@ -164,28 +171,29 @@ def conditional_pass(tables, rng, path, n):
     steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
     history = History(particles, log_weights, ancestors)
     arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
-    status, t, log_evidence = forward(
-        tables, rng, n_steps, Independent(1), 1.0, True, path, AllAtOnce(0.0), arrays
+    status, t, log_evidence, _ = forward(
+        tables, rng, 0, n_steps, False, Independent(1), 1.0, True, path, AllAtOnce(0.0), arrays
     )
     return status, t, log_evidence, particles, log_weights, steps, ancestors
 
 
 @entry
-def predictive_pass(tables, rng, n_steps, n, scheme, threshold, alone):
+def predictive_pass(tables, rng, n_steps, n, scheme, threshold, alone, rows):
     """Do the same, taking the readings of a row one after another, or each `alone`.
 
-    Returns what :func:`filter_pass` does, then log score, low and high (N,) of each slot (see
-    :class:`~pmcl.filtering.kernels.weighing.OneByOne`); NaN where nothing was measured.
+    Returns what :func:`filter_pass` does, with a history of `rows` rows (:class:`History`), at least 2 of a log that
+    has as many; then log score, low and high (N,) of each slot (see
+    :class:`~pmcl.filtering.kernels.weighing.OneByOne`), NaN where nothing was measured.
     """
     size = state_size(tables.motion)
-    particles, log_weights = np.empty((n_steps, size, n)), np.empty((n_steps, n))
-    steps, ancestors = np.empty((n_steps, 2)), np.empty((n_steps, n), np.uint32)
+    particles, log_weights = np.empty((rows, size, n)), np.empty((rows, n))
+    steps, ancestors = np.empty((n_steps, 2)), np.empty((rows, n), np.uint32)
     slots = count_slots(tables.sensors, n_steps)
     log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
     history = History(particles, log_weights, ancestors)
     arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
     record = OneByOne(n_steps, log_score, low, high, np.empty((6, n)), alone)
-    status, t, log_evidence = forward(
-        tables, rng, n_steps, scheme, threshold, False, np.empty((0, size)), record, arrays
+    status, t, log_evidence, _ = forward(
+        tables, rng, 0, n_steps, False, scheme, threshold, False, np.empty((0, size)), record, arrays
     )
     return status, t, log_evidence, particles, log_weights, steps, ancestors, log_score, low, high

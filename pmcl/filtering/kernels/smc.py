@@ -2,7 +2,7 @@
 
 One specialised loop is compiled for each combination of table types. Numbers in brackets are the equations of Kaboli,
 Bowling and Musilek (2006). The filter is in :mod:`~.forward`, backward sampling in :mod:`~.backward`, densities of
-paths in :mod:`~.densities`; here filter and backward sampling together replace a trajectory.
+paths in :mod:`~.densities`; here filter and backward sampling together replace a trajectory, at once or in blocks.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ __all__ = [
     "FINE",
     "NOT_A_NUMBER",
     "NO_ANCESTOR",
+    "History",
     "conditional_pass",
+    "draw_block",
+    "filter_block",
     "filter_pass",
     "joint_logpdf",
     "joint_terms",
@@ -54,8 +57,8 @@ def redraw_path(tables, rng, n_steps, n, conditional, path):
     history = History(np.empty((n_steps, size, n)), np.empty((n_steps, n)), np.empty((n_steps, n), np.uint32))
     arrays = FilterWork(history, steps, np.empty((size, n)), scratch)
     scheme = Independent(1 if conditional else 0)
-    status, t, log_evidence = forward(
-        tables, rng, n_steps, scheme, 1.0, conditional, path, AllAtOnce(0.0), arrays
+    status, t, log_evidence, _ = forward(
+        tables, rng, 0, n_steps, False, scheme, 1.0, conditional, path, AllAtOnce(0.0), arrays
     )
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
@@ -67,7 +70,7 @@ def redraw_path(tables, rng, n_steps, n, conditional, path):
     workspace = BackwardWork(
         scratch[0], np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
     )
-    status, t, changed = backward(tables, rng, n_steps, history, new, workspace)
+    status, t, changed, _ = backward(tables, rng, 0, n_steps, np.int64(-1), history, new, workspace)
     if status != FINE:
         return status, t, log_evidence, 0.0, 0
     for s in range(n_steps):
@@ -79,3 +82,30 @@ def redraw_path(tables, rng, n_steps, n, conditional, path):
             effective += steps[s, 1]
             measured += 1
     return FINE, 0, log_evidence, effective / max(measured, 1), changed
+
+
+@entry
+def filter_block(tables, rng, begin, stop, weighted, conditional, path, history, steps):
+    """Filter the rows begin ... stop - 1 as :func:`redraw_path` does, going on from row ``begin - 1``.
+
+    `history` is a :class:`~pmcl.filtering.kernels.forward.History`, which holds that row and is filled with these;
+    `steps` (T, 2) as in :class:`~pmcl.filtering.kernels.forward.FilterWork`. Returns (status, time, log evidence of
+    these rows, weighted).
+    """
+    _, size, n = history.particles.shape
+    arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
+    scheme = Independent(1 if conditional else 0)
+    return forward(
+        tables, rng, begin, stop, weighted, scheme, 1.0, conditional, path, AllAtOnce(0.0), arrays
+    )
+
+
+@entry
+def draw_block(tables, rng, begin, stop, ancestor, history, path):
+    """Draw the states stop - 1 ... begin of a trajectory; see :func:`~pmcl.filtering.kernels.backward.backward`."""
+    _, size, n = history.particles.shape
+    count = min(n, WEIGHED)
+    workspace = BackwardWork(
+        np.empty(n), np.empty(count, np.int64), np.empty((2, size, count)), np.empty((work_rows(tables), count))
+    )
+    return backward(tables, rng, begin, stop, ancestor, history, path, workspace)
