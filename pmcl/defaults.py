@@ -35,7 +35,8 @@ TRAJECTORIES: Final = 100
 """Trajectories of each chain that are kept; a long log keeps fewer, see :data:`TRAJECTORY_STATES`."""
 
 TRAJECTORY_STATES: Final = 10_000_000
-"""States of all kept trajectories together: 240 MB of poses. Four chains keep 100 trajectories each up to 25 000 rows."""
+"""States of all kept trajectories together: 240 MB of poses. Four chains keep 100 trajectories each of up to 25 000
+rows."""
 
 LOCALIZATION_PARTICLES: Final = 500
 """Particles of a localizing filter."""

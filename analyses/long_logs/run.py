@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import json
 import resource
 import subprocess
@@ -62,7 +63,7 @@ def cut(log, pieces):
         return [log]
     rng, logs = np.random.default_rng(SEED), []
     edges = np.linspace(0, log.n_steps, pieces + 1).astype(int)
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in itertools.pairwise(edges):
         near = log.dataset["true_pose"].values[begin] + np.array(START_STD) * rng.standard_normal(3)
         logs.append(log.select(begin, end, start_mean=near, start_std=START_STD))
     return logs
@@ -100,7 +101,7 @@ def _text(values):
 
 
 def sweeps(small):
-    """Yield how long a sweep of conditional SMC takes, with rows, particles and channels of readings doubled in turn."""
+    """Yield how long a sweep of conditional SMC takes, by rows, particles, and channels of readings."""
     cases = [("landmarks", 1000, 25, 8)] if small else [
         *(("landmarks", rows, 25, 8) for rows in (400, 2000, 10_000, 50_000, 100_000)),
         *(("landmarks", 2000, particles, 8) for particles in (100, 400, 1600)),

@@ -17,8 +17,8 @@ from pmcl.interrupts import check_interrupt
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "MOST_EXCHANGEABLE", "MOST_KEPT_STATES", "FilterPass", "PathUpdate", "draw_paths", "draw_paths_beside", "draw_set", "log_joint",
-    "make_rng", "run_filter", "update_path",
+    "MOST_EXCHANGEABLE", "MOST_KEPT_STATES", "FilterPass", "PathUpdate", "draw_paths", "draw_paths_beside", "draw_set",
+    "log_joint", "make_rng", "run_filter", "update_path",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -27,8 +27,8 @@ Kernel = Literal["smoothing", "conditional"]
 MOST_EXCHANGEABLE = WEIGHED
 """With at most so many particles :func:`draw_set` draws trajectories among which the given one is as any other."""
 
-MOST_KEPT_STATES = 4_000_000
-"""Particles times rows that :func:`update_path` holds at a time: 36 bytes each where states are poses, 144 MB for each
+MOST_KEPT_STATES = 8_000_000
+"""Particles times rows that :func:`update_path` holds at a time: 36 bytes each where states are poses, 288 MB for each
 chain. Longer logs are filtered twice, in blocks (:func:`_redraw_in_blocks`)."""
 
 

@@ -257,3 +257,15 @@ def test_methods_are_compared_and_cover_the_truth_as_they_say(small):
     covered = read(folder / "coverage.csv")
     assert {row["seed"] for row in covered} == {"0", "1"}
     assert all(0.0 <= float(row["share_below"]) <= 1.0 for row in covered if row["method"] == "conditional")
+
+
+@pytest.mark.slow
+def test_long_logs_and_pieces_of_a_drive_are_measured(small):
+    folder = small("long_logs")
+    rows = {(int(row["rows"]), int(row["pieces"])): row for row in read(folder / "results.csv")}
+    assert set(rows) == {(60, 1), (120, 2)}
+    for row in rows.values():
+        mean, sd, truth = (np.array(row[name].split(), dtype=float) for name in ("means", "sds", "truth"))
+        assert np.abs((mean - truth) / sd).max() < 5.0
+        assert 0.1 < float(row["peak_memory_gb"]) < 4.0
+    assert [float(row["ms_per_sweep"]) > 0.0 for row in read(folder / "sweeps.csv")] == [True]

@@ -9,6 +9,7 @@ import pytest
 
 from pmcl.filtering import particle_filter
 from pmcl.filtering.particle_filter import make_rng, run_filter, update_path
+from pmcl.logs.robot_log import RobotLog
 from pmcl.models.robot_model import default_model
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
@@ -17,10 +18,7 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 @pytest.fixture(scope="module", params=["landmarks", "sonars"])
 def tables_and_path(request):
     """Tables of a log of 60 rows, some without readings, and a trajectory with a positive density."""
-    if request.param == "landmarks":
-        log = simulate_landmark_field(60, 1)
-    else:
-        log = simulate_amigobot(60.0, 1)
+    log = simulate_landmark_field(60, 1) if request.param == "landmarks" else simulate_amigobot(60.0, 1)
     bound = default_model(log).bind(log)
     tables = bound.tables(bound.prior_mean())[0]
     path = np.zeros((60, 3))
@@ -49,7 +47,9 @@ def test_blocks_draw_the_same_trajectory(tables_and_path, monkeypatch, kernel, r
 def test_a_block_goes_on_where_no_reading_was_taken(monkeypatch):
     # Weights that no resampling has used yet must be carried from one block to the next.
     log = simulate_landmark_field(60, 1)
-    log.dataset["landmark_range"][5:40] = np.nan
+    readings = log.dataset["landmark_range"].copy(deep=True)
+    readings.values = np.where((np.arange(60) // 35 == 0)[:, None], np.nan, readings.values)
+    log = RobotLog.from_dataset(log.dataset.assign(landmark_range=readings))
     bound = default_model(log).bind(log)
     tables = bound.tables(bound.prior_mean())[0]
     at_once, in_blocks = np.zeros((60, 3)), np.zeros((60, 3))
