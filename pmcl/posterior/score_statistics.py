@@ -8,6 +8,7 @@ is that of the same statistic of simulated standard normals at the same places.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ _WAVES = 4
 _TIME_SCALES = (1.0, 4.0, 16.0, 64.0)
 # The log holds at least this many of the longest time scale, so that chance similarities average out.
 _LEAST_SPANS = 10.0
+# Scores that are held at a time, so that memory does not grow with readings times simulations: 16 MB, in a few copies.
+_MOST_VALUES = 2_000_000
 # Time scales per octave when the duration of errors is estimated.
 _PER_OCTAVE = 4
 
@@ -101,41 +104,63 @@ def score_statistics(
         :data:`~pmcl.posterior.shared_errors.MOST_ROWS` rows like its own would show.
     """
     n = series.score.size
-    if series.sectors:
-        simulated = shared_normals(series.time, series.channel, len(series.sectors), simulations, rng)
-    else:
-        simulated = rng.standard_normal((n, simulations))
-    scores = np.concatenate([series.score[:, None], simulated], axis=1)
-    probability = special.ndtr(scores)
+    channels = np.unique(series.channel)
+    scales = _time_scales(series)
+    waves, of_channels = np.zeros((_WAVES, 1 + simulations)), np.zeros((channels.size, 1 + simulations))
+    lasting = _Lasting(series, scales, 1 + simulations)
+    for begin, stop, scores in _blocks(series, simulations, rng):
+        probability = special.ndtr(scores)
+        for wave in range(_WAVES):
+            waves[wave] += np.cos((wave + 1) * np.pi * probability).sum(axis=0)
+        for number, channel in enumerate(channels):
+            of_channels[number] += scores[series.channel[begin:stop] == channel].sum(axis=0)
+        if scales.size:
+            lasting.add(begin, stop, scores)
     # The cosine is positive for readings shorter than predicted.
     signs = (-1.0, 1.0, 1.0, 1.0)
-    values = [
-        sign * np.sqrt(2.0 / n) * np.cos((wave + 1) * np.pi * probability).sum(axis=0)
-        for wave, sign in zip(range(_WAVES), signs, strict=True)
-    ]
+    values = [sign * np.sqrt(2.0 / n) * wave for wave, sign in zip(waves, signs, strict=True)]
     names = [Statistic("shift"), Statistic("spread"), Statistic("shape"), Statistic("shape")]
     if series.sectors:
         names, values = names[:2], [values[0], np.maximum(values[1], 0.0)]
-    channels = np.unique(series.channel)
     if channels.size > 1:
-        for channel in channels:
-            selected = series.channel == channel
+        for channel, total in zip(channels, of_channels, strict=True):
             names.append(Statistic("channel shift", int(channel)))
-            values.append(scores[selected].sum(axis=0) / np.sqrt(np.count_nonzero(selected)))
-    scales = _time_scales(series)
+            values.append(total / np.sqrt(np.count_nonzero(series.channel == channel)))
     if scales.size:
-        single, together = _lasting(series, scales, scores)
         names += [Statistic("lasting", -1, float(scale)) for scale in scales]
-        values += list(single)
+        values += list(lasting.single.standardised())
         if channels.size > 1:
             names += [Statistic("lasting together", -1, float(scale)) for scale in scales]
-            values += list(together)
+            values += list(lasting.together.standardised())
     found = np.array(values)
     if series.sectors:
         # What is shared scatters more; the simulations tell by how much.
         found /= np.sqrt(np.mean(found[:, 1:] ** 2, axis=1, keepdims=True))
         found[:, 0] /= np.sqrt(max(np.unique(series.time).size / MOST_ROWS, 1.0))
     return tuple(names), found
+
+
+def _blocks(
+    series: ScoreSeries, simulations: int, rng: np.random.Generator
+) -> Iterator[tuple[int, int, Float]]:
+    """Yield some readings after the others: the first, the one after the last, and their scores (m, 1 + M).
+
+    Readings of one time stay together. Column 0 holds the scores of the readings, the others are simulated. What is
+    simulated does not depend on the size of a block.
+    """
+    n = series.score.size
+    shared = None
+    if series.sectors:
+        shared = shared_normals(series.time, series.channel, len(series.sectors), simulations, rng)
+    edges = np.append(np.unique(series.time, return_index=True)[1], n)
+    begin = 0
+    while begin < n:
+        # The last edge that is near enough, or the next one.
+        place = np.searchsorted(edges, begin + _MOST_VALUES // (1 + simulations), side="right") - 1
+        stop = int(edges[max(place, np.searchsorted(edges, begin, side="right"))])
+        simulated = rng.standard_normal((stop - begin, simulations)) if shared is None else shared[begin:stop]
+        yield begin, stop, np.concatenate([series.score[begin:stop, None], simulated], axis=1)
+        begin = stop
 
 
 def duration_of_errors(series: ScoreSeries, name: str) -> float:
@@ -157,9 +182,10 @@ def duration_of_errors(series: ScoreSeries, name: str) -> float:
     interval, longest = _interval(series), _longest(series)
     octaves = np.log2(max(longest / interval, 1.0))
     scales = 0.5 * interval * 2.0 ** (np.arange(int(octaves * _PER_OCTAVE) + _PER_OCTAVE + 1) / _PER_OCTAVE)
-    single, together = _lasting(series, scales, series.score[:, None])
-    sums = single if name == "lasting" else together
-    return float(scales[int(sums[:, 0].argmax())])
+    lasting = _Lasting(series, scales, 1)
+    lasting.add(0, series.score.size, series.score[:, None])
+    sums = lasting.single if name == "lasting" else lasting.together
+    return float(scales[int(sums.standardised()[:, 0].argmax())])
 
 
 def _interval(series: ScoreSeries) -> float:
@@ -179,24 +205,36 @@ def _time_scales(series: ScoreSeries) -> Float:
     return scales[scales <= _longest(series)] if interval > 0.0 else np.empty(0)
 
 
-def _lasting(series: ScoreSeries, scales: Float, scores: Float) -> tuple[Float, Float]:
-    """Return weighted sums of products of two errors, (S, M) for errors of channels and (S, M) for means of rows.
+class _Lasting:
+    """Weighted sums of products of two errors, of the same channel (`single`) or of the means of rows (`together`).
 
     The weight of a product is exp(-interval / scale). Products of different pairs are uncorrelated, so the variance of
     the sum, by which it is divided, is the sum of squared weights.
+
+    Parameters
+    ----------
+    series : ScoreSeries
+        The readings.
+    scales : ndarray, shape (S,)
+        Time scales [s].
+    n_series : int
+        Number of series at the same places, those of the readings and of the simulations.
     """
-    _, channel = np.unique(series.channel, return_inverse=True)
-    times, first = np.unique(series.time, return_index=True)
-    stops = [*first[1:], series.time.size]
-    n_channels = int(channel.max()) + 1
-    single = _PairSums(scales, n_channels, scores.shape[1])
-    together = _PairSums(scales, 1, scores.shape[1])
-    row = np.zeros(1, dtype=np.int64)
-    for time, begin, end in zip(times, first, stops, strict=True):
-        now = scores[begin:end]
-        single.add(float(time), channel[begin:end], now)
-        together.add(float(time), row, now.sum(axis=0, keepdims=True) / np.sqrt(end - begin))
-    return single.standardised(), together.standardised()
+
+    def __init__(self, series: ScoreSeries, scales: Float, n_series: int) -> None:
+        channels, self.channel = np.unique(series.channel, return_inverse=True)
+        self.time = series.time
+        self.single = _PairSums(scales, channels.size, n_series)
+        self.together = _PairSums(scales, 1, n_series)
+
+    def add(self, begin: int, stop: int, scores: Float) -> None:
+        """Take the scores (stop - begin, M) of some readings, which follow those taken before and end with a row."""
+        times, first = np.unique(self.time[begin:stop], return_index=True)
+        row = np.zeros(1, dtype=np.int64)
+        for time, low, high in zip(times, first, [*first[1:], stop - begin], strict=True):
+            now = scores[low:high]
+            self.single.add(float(time), self.channel[begin + low : begin + high], now)
+            self.together.add(float(time), row, now.sum(axis=0, keepdims=True) / np.sqrt(high - low))
 
 
 class _PairSums:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import zlib
 
 import numpy as np
 import pytest
 from scipy import special, stats
 
+from pmcl.posterior import score_statistics as module
 from pmcl.posterior.score_statistics import ScoreSeries, duration_of_errors, score_statistics
 
 # mypy: disable-error-code="no-untyped-def"
@@ -92,3 +94,26 @@ def test_a_wrong_spread_is_told_by_its_sign(rng):
         names, values = score_statistics(series, 9, rng)
         spread = next(value for one, value in zip(names, values[:, 0], strict=True) if one.name == "spread")
         assert sign * spread > stats.norm.isf(1e-3)
+
+
+@pytest.mark.parametrize("sectors", [(), ((0, 1), (2, 3))])
+@pytest.mark.parametrize("values", [1, 50 * 21])
+def test_blocks_of_any_size_give_the_same_numbers(rng, monkeypatch, values, sectors):
+    time, channel = np.repeat(np.arange(100.0), 2), np.tile([0, 1], 100)
+    keep = np.arange(200) % 7 != 0  # some rows have one reading
+    series = ScoreSeries("x", time[keep], channel[keep], rng.standard_normal(keep.sum()), sectors)
+    names, expected = score_statistics(series, 20, np.random.default_rng(1))
+    monkeypatch.setattr(module, "_MOST_VALUES", values)
+    names_of_blocks, found = score_statistics(series, 20, np.random.default_rng(1))
+    assert names_of_blocks == names
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_memory_does_not_grow_with_readings_times_simulations(rng, monkeypatch):
+    monkeypatch.setattr(module, "_MOST_VALUES", 20_000)
+    series = ScoreSeries("x", np.repeat(np.arange(5000.0), 2), np.tile([0, 1], 5000), rng.standard_normal(10_000))
+    tracemalloc.start()
+    score_statistics(series, 199, rng)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * 10_000 * 200 / 4
