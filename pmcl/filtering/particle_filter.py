@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.errors import DensityError, FilterError
+from pmcl.filtering.blocks import redraw_in_blocks
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.backward import WEIGHED
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
@@ -29,7 +30,8 @@ MOST_EXCHANGEABLE = WEIGHED
 
 MOST_KEPT_STATES = 8_000_000
 """Particles times rows that :func:`update_path` holds at a time: 36 bytes each where states are poses, 288 MB for each
-chain. Longer logs are filtered twice, in blocks (:func:`_redraw_in_blocks`)."""
+chain. Longer logs are filtered twice, in blocks
+(:mod:`pmcl.filtering.blocks`)."""
 
 
 def make_rng(seed: int | np.random.SeedSequence | None = None) -> np.random.Generator:
@@ -303,65 +305,14 @@ def update_path(
             tables, rng, n_steps, n_particles, kernel == "conditional", path
         )
     else:
-        status, t, log_evidence, effective, changed = _redraw_in_blocks(
-            tables, rng, n_steps, n_particles, kernel == "conditional", path
+        # Half of it for a block, half for what is kept of the others.
+        status, t, log_evidence, effective, changed = redraw_in_blocks(
+            tables, rng, n_steps, n_particles, kernel == "conditional", path, MOST_KEPT_STATES // (2 * n_particles)
         )
     if status == smc.ALL_ZERO:
         return PathUpdate(-math.inf, 0.0, 0.0, succeeded=False)
     raise_outcome(status, t, f"{kernel} sweep")
     return PathUpdate(log_evidence, effective / n_particles, changed / n_steps, succeeded=True)
-
-
-def _redraw_in_blocks(
-    tables: Tables, rng: np.random.Generator, n_steps: int, n_particles: int, conditional: bool, path: Float
-) -> tuple[int, int, float, float, int]:
-    """Draw the trajectory that :func:`pmcl.filtering.kernels.smc.redraw_path` would, with the history of one block.
-
-    The filter runs over the log once and leaves, before each block of rows, the last particles and the state of its
-    generator. Then it runs over each block again, the last one first, with the same random numbers, and the trajectory
-    is drawn backward through that block. So each row is filtered twice, and memory grows with T / B + B instead of T,
-    for blocks of B rows (checkpoints as in Griewank and Walther, Algorithm 799: revolve, ACM TOMS 26, 2000).
-    """
-    size = path.shape[1]
-    # At least the square root of T, so that neither the checkpoints nor the block is large.
-    block = max(MOST_KEPT_STATES // (2 * n_particles), math.isqrt(n_steps), 1)
-    rows = block + 1  # the row before a block as well
-    history = smc.History(
-        np.empty((rows, size, n_particles)), np.empty((rows, n_particles)), np.empty((rows, n_particles), np.uint32)
-    )
-    steps = np.empty((n_steps, 2))
-    begins = range(0, n_steps, block)
-    log_evidence, weighted, checkpoints = 0.0, False, []
-    for begin in begins:
-        check_interrupt()
-        last = (begin - 1) % rows
-        checkpoints.append(
-            (history.particles[last].copy(), history.log_weights[last].copy(), weighted, rng.bit_generator.state)
-        )
-        stop = min(begin + block, n_steps)
-        status, t, gained, weighted = smc.filter_block(
-            tables, rng, begin, stop, weighted, conditional, path, history, steps
-        )
-        if status != smc.FINE:
-            return status, t, gained, 0.0, 0
-        log_evidence += gained
-    new, changed, ancestor = path.copy(), 0, -1
-    replayed = make_rng(0)
-    for begin, (particles, log_weights, weighted, state) in zip(reversed(begins), reversed(checkpoints), strict=True):
-        check_interrupt()
-        stop = min(begin + block, n_steps)
-        if stop < n_steps:  # the history still holds the last block
-            last = (begin - 1) % rows
-            history.particles[last], history.log_weights[last] = particles, log_weights
-            replayed.bit_generator.state = state
-            smc.filter_block(tables, replayed, begin, stop, weighted, conditional, path, history, steps)
-        status, t, different, ancestor = smc.draw_block(tables, rng, begin, stop, ancestor, history, new)
-        if status != smc.FINE:
-            return status, t, log_evidence, 0.0, 0
-        changed += different
-    path[:n_steps] = new[:n_steps]
-    effective = steps[steps[:, 0] != 0.0, 1]
-    return smc.FINE, 0, log_evidence, float(effective.mean()) if effective.size else 0.0, changed
 
 
 def draw_set(tables: Tables, path: Float, n_paths: int, n_particles: int, rng: np.random.Generator) -> Float | None:
