@@ -1,4 +1,4 @@
-"""Smoothing and conditional draws of long trajectories, for which a filter's history is held one block of rows at a time.
+"""Smoothing and conditional draws of long trajectories: a filter's history is held one block of rows at a time.
 
 The filter runs over the log once and leaves, before each block, the last particles and its generator. Then it runs over
 each block again, the last one first, with the same random numbers, and the trajectory is drawn backward through that
