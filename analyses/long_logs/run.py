@@ -2,10 +2,11 @@
 
 A robot is simulated for up to 100 000 rows and calibrated with the defaults, one chain after the other on one thread.
 Each log is a process of its own, whose greatest memory is noted: Python and its libraries take 0.25 GB of it. A drive
-is also cut into pieces, each with a start belief of its own, as if the robot had been switched off in between. Rows go
-to results.csv; those that are there are not computed again. From the repository's root:
+is also cut into pieces, each with a start belief of its own, as if the robot had been switched off in between. Then the
+number of chains, of particles and of landmarks is changed, one at a time. Rows go to results.csv; those that are there
+are not computed again. From the repository's root:
 
-    python analyses/long_logs/run.py                  # an hour
+    python analyses/long_logs/run.py                  # an hour and a half
     python analyses/long_logs/run.py --only sweeps    # only how a sweep's time grows with rows, particles and readings
 """
 
@@ -24,24 +25,31 @@ from pathlib import Path
 import numpy as np
 
 import pmcl
+from pmcl.calibration import ParticleGibbs
 from pmcl.filtering.particle_filter import make_rng, run_filter, update_path
 from pmcl.models.robot_model import default_model
 from pmcl.posterior.access import theta_draws
 from pmcl.posterior.diagnostics import summarize
+from pmcl.posterior.settings import settings as settings_of
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
+CASE = ("robot", "rows", "pieces", "chains", "particles", "channels", "draws")
 FIELDS = (
-    "robot", "rows", "pieces", "chains", "draws", "burn_in_cpu_s", "cpu_s_per_draw", "worst_ess", "r_hat",
-    "peak_memory_gb", "parameters", "means", "sds", "truth",
+    *CASE, "burn_in_cpu_s", "cpu_s_per_draw", "sweeps_per_draw", "worst_ess", "r_hat", "peak_memory_gb", "parameters",
+    "means", "sds", "truth",
 )  # fmt: skip
 SWEEPS = ("robot", "rows", "particles", "channels", "ms_per_sweep", "ns_per_particle_row")
-# Robot, rows, pieces, draws of each of two chains.
+# As in CASE; draws are those of each chain.
 FULL = (
-    ("landmarks", 400, 1, 400), ("landmarks", 2000, 1, 400), ("landmarks", 10_000, 1, 200),
-    ("landmarks", 10_000, 10, 200), ("landmarks", 100_000, 1, 60),
-    ("sonars", 400, 1, 400), ("sonars", 2000, 1, 400), ("sonars", 10_000, 1, 200),
+    ("landmarks", 400, 1, 2, 25, 8, 400), ("landmarks", 2000, 1, 2, 25, 8, 400),
+    ("landmarks", 10_000, 1, 2, 25, 8, 200), ("landmarks", 10_000, 10, 2, 25, 8, 200),
+    ("sonars", 400, 1, 2, 25, 8, 400), ("sonars", 2000, 1, 2, 25, 8, 400), ("sonars", 10_000, 1, 2, 25, 8, 200),
+    *(("landmarks", 2000, 1, chains, 25, 8, 40) for chains in (1, 4, 8)),
+    *(("landmarks", 2000, 1, 2, particles, 8, 40) for particles in (100, 400)),
+    *(("landmarks", 2000, 1, 2, 25, channels, 40) for channels in (2, 32, 128)),
+    ("landmarks", 50_000, 1, 2, 25, 8, 100), ("landmarks", 100_000, 1, 2, 25, 8, 100),
 )  # fmt: skip
-SMALL = (("landmarks", 60, 1, 20), ("landmarks", 120, 2, 20))
+SMALL = (("landmarks", 60, 1, 2, 25, 8, 20), ("landmarks", 120, 2, 1, 10, 4, 20))
 SEED = 1
 START_STD = (0.1, 0.1, 0.05)
 
@@ -52,9 +60,11 @@ class OneAfterTheOther:
     map = staticmethod(map)
 
 
-def drive(robot, rows):
-    """Return a simulated log."""
-    return simulate_landmark_field(rows, SEED) if robot == "landmarks" else pmcl.simulate_amigobot(float(rows), SEED)
+def drive(robot, rows, channels):
+    """Return a simulated log; the Amigobot always has its eight sonars."""
+    if robot == "landmarks":
+        return simulate_landmark_field(rows, SEED, n_landmarks=channels)
+    return pmcl.simulate_amigobot(float(rows), SEED)
 
 
 def cut(log, pieces):
@@ -69,10 +79,11 @@ def cut(log, pieces):
     return logs
 
 
-def measure(robot, rows, pieces, draws):
+def measure(robot, rows, pieces, chains, particles, channels, draws):
     """Calibrate one drive; return a row of results."""
-    settings = {"chains": 2, "seed": SEED, "pool": OneAfterTheOther()}
-    pmcl.calibrate(cut(drive(robot, 60 * pieces), pieces), draws=10, **settings)  # compiles
+    method = ParticleGibbs(particles=particles)
+    settings = {"chains": chains, "method": method, "seed": SEED, "pool": OneAfterTheOther()}
+    pmcl.calibrate(cut(drive(robot, 60 * pieces, channels), pieces), draws=10, **settings)  # compiles
     moments = {}
 
     def note(stage, done, total):
@@ -80,15 +91,16 @@ def measure(robot, rows, pieces, draws):
             moments.setdefault("first", time.process_time())
             moments["last"], moments["steps"] = time.process_time(), total - 1
 
-    log = drive(robot, rows)
+    log = drive(robot, rows, channels)
     began = time.process_time()
     posterior = pmcl.calibrate(cut(log, pieces), draws=draws, progress=note, **settings)
     summary, theta = summarize(posterior), theta_draws(posterior)
     names = [str(name) for name in summary["parameter"].values]
-    return {
-        "robot": robot, "rows": rows, "pieces": pieces, "chains": 2, "draws": draws,
+    case = (robot, rows, pieces, chains, particles, channels, draws)
+    return dict(zip(CASE, case, strict=True)) | {
         "burn_in_cpu_s": moments["first"] - began,
-        "cpu_s_per_draw": (moments["last"] - moments["first"]) / (2 * moments["steps"]),
+        "cpu_s_per_draw": (moments["last"] - moments["first"]) / (chains * moments["steps"]),
+        "sweeps_per_draw": settings_of(posterior)["sweeps_per_draw"],
         "worst_ess": float(summary["ess_bulk"].min()), "r_hat": float(summary["r_hat"].max()),
         "peak_memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
         "parameters": " ".join(names), "means": _text(theta.mean(axis=(0, 1))), "sds": _text(theta.std(axis=(0, 1))),
@@ -110,7 +122,7 @@ def sweeps(small):
         *(("sonars", 2000, particles, 8) for particles in (100, 400, 1600)),
     ]  # fmt: skip
     for robot, rows, particles, channels in cases:
-        log = simulate_landmark_field(rows, SEED, n_landmarks=channels) if robot == "landmarks" else drive(robot, rows)
+        log = drive(robot, rows, channels)
         bound = default_model(log).bind(log)
         tables, rng = bound.tables(bound.prior_mean())[0], make_rng(SEED)
         path = run_filter(tables, rows, 100, rng).mean()
@@ -151,9 +163,9 @@ def main() -> None:
         known = set()
         if results.exists():
             with results.open(newline="") as stream:
-                known = {(row["robot"], int(row["rows"]), int(row["pieces"])) for row in csv.DictReader(stream)}
+                known = {tuple(row[name] for name in CASE) for row in csv.DictReader(stream)}
         for case in SMALL if given.small else FULL:
-            if case[:3] in known:
+            if tuple(map(str, case)) in known:
                 continue
             command = [sys.executable, __file__, "--measure", json.dumps(case)]
             text = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
