@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ OUTLIER_WEIGHT = "outlier_weight"
 """Names of parameters that are shares of gross errors end so."""
 
 
+@functools.cache  # scipy takes a millisecond to make it
 def outlier_prior() -> Any:
     """Return the default prior of an outlier weight: beta(1, 30), mean 3 %, 95 % below 10 %.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -141,6 +142,7 @@ class PriorTable(NamedTuple):
     constant: Float
 
 
+@functools.lru_cache(maxsize=256)  # scipy takes a millisecond to make one, and parts ask for theirs again and again
 def gamma_prior(mean: float, shape: float = 2.0) -> Any:
     """Return the gamma distribution with a given mean.
 

@@ -276,9 +276,11 @@ class BoundModel:
 
     def prior_mean(self) -> Float:
         """Return the prior mean of theta, (d,); the median where there is no finite mean."""
-        means = [float(parameter.prior.mean()) for parameter in self.parameters]
-        medians = [float(parameter.prior.median()) for parameter in self.parameters]
-        return np.array([mean if math.isfinite(mean) else median for mean, median in zip(means, medians, strict=True)])
+        priors = [parameter.prior for parameter in self.parameters]
+        means = [float(prior.mean()) for prior in priors]
+        return np.array([
+            mean if math.isfinite(mean) else float(prior.median()) for mean, prior in zip(means, priors, strict=True)
+        ])
 
     def draw_prior(self, rng: np.random.Generator) -> Float:
         """Draw theta from its prior, (d,)."""

@@ -189,8 +189,9 @@ def simulated_pieces(
     theta: Float,
     rng: np.random.Generator,
     start_std: tuple[float, float, float] | None = None,
+    times: int = 1,
 ) -> tuple[list[RobotLog], list[Float]]:
-    """Simulate a drive.
+    """Simulate a drive, once or several times.
 
     Parameters
     ----------
@@ -209,23 +210,35 @@ def simulated_pieces(
     start_std : tuple of float, optional
         What the pieces say of how well their start is known [m, m, rad]. When left out they say what is true, and as
         much as the filter of a robot that is followed knows: such a filter has no bias.
+    times : int
+        How often.
 
     Returns
     -------
     logs : list of RobotLog
-        The pieces in which something is read, each of as many rows as the drive's commands.
+        The pieces in which something is read, each of as many rows as the drive's commands; all pieces of the first
+        time, then those of the next.
     paths : list of ndarray, shape (L, D)
         Their true paths.
     """
-    logs, paths = [], []
+    planned = []
     for start, command in zip(drive.starts, drive.commands, strict=True):
         piece = _piece(log, path, start, command)
         if piece.n_readings > 0:
-            simulated, true_path = _simulated(piece, model, theta, rng)
+            tables = model.bind(piece).tables(theta)[0]
             if start_std is not None:
-                said = simulated.dataset.assign(start_std=simulated.dataset["start_std"].copy(data=np.array(start_std)))
-                simulated = _Piece.trusted(said, simulated.where, simulated.grid_map)
-            logs.append(simulated)
+                stated = piece.dataset["start_std"].copy(data=np.array(start_std))
+                piece = _Piece.trusted(piece.dataset.assign(start_std=stated), piece.where, piece.grid_map)
+            planned.append((piece, tables))
+    logs, paths = [], []
+    for _ in range(times):
+        for piece, tables in planned:
+            true_path = simulate_path(tables.motion, tables.start, rng)
+            dataset = piece.dataset.copy(deep=True)
+            for table in tables.sensors:
+                sensor = sensor_of(table)
+                sensor.store(sensor.simulate(table, true_path, rng), dataset)
+            logs.append(_Piece.trusted(dataset, piece.where, piece.grid_map))
             paths.append(true_path)
     return logs, paths
 
@@ -244,24 +257,11 @@ def _piece(log: RobotLog, path: Float, start: Float, command: Float) -> RobotLog
     nearest = np.argmin(away**2 + turned**2, axis=1)
     period = float(np.median(np.diff(log.times)))
     part = log.without_truth().dataset.isel(time=nearest).copy(deep=True)
-    part = part.assign_coords(time=("time", period * np.arange(len(command)), part["time"].attrs))
     increments = np.array(command)
     increments[0] = 0.0
-    part["odometry"] = part["odometry"].copy(data=increments)
-    part["start_mean"] = part["start_mean"].copy(data=np.array(start[:3]))
-    part["start_std"] = part["start_std"].copy(data=np.minimum(log.start_std, _START_STD))
+    part = part.assign_coords(time=("time", period * np.arange(len(command)), part["time"].attrs)).assign(
+        odometry=part["odometry"].variable.copy(data=increments),
+        start_mean=part["start_mean"].variable.copy(data=np.array(start[:3])),
+        start_std=part["start_std"].variable.copy(data=np.minimum(log.start_std, _START_STD)),
+    )
     return _Piece.trusted(part, f"{log.where} (planned)", log.grid_map)
-
-
-def _simulated(
-    piece: RobotLog, model: RobotModel, theta: Float, rng: np.random.Generator
-) -> tuple[RobotLog, Float]:
-    """Draw path and readings of a piece; return it with these readings, and the path."""
-    tables = model.bind(piece).tables(theta)[0]
-    path = simulate_path(tables.motion, tables.start, rng)
-    dataset = piece.dataset.copy(deep=True)
-    for table in tables.sensors:
-        sensor = sensor_of(table)
-        sensor.store(sensor.simulate(table, path, rng), dataset)
-    return _Piece.trusted(dataset, piece.where, piece.grid_map), path
-

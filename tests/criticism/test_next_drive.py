@@ -77,9 +77,9 @@ def test_the_chance_is_that_of_a_normal_number(log, monkeypatch):
     drive = drives_for(log, log.dataset["true_pose"].values, sideways=False)[0]
     gains = {"first": np.linspace(0.1, 0.5, 48), "second": np.linspace(-0.5, 1.1, 48)}
 
-    def pieces(drive, log, path, model, theta, rng, start_std):
+    def pieces(drive, log, path, model, theta, rng, start_std, times):
         assert start_std == module._START_STD
-        return [model.truth] * 12, []
+        return [model.truth] * 12 * times, []
 
     def trial(name):
         bound = SimpleNamespace(lengths=[16] * 48, tables=lambda theta: [(name, k) for k in range(48)])

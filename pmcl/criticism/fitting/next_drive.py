@@ -130,10 +130,8 @@ def chances_of_telling(
 
 def _chance(drive: Drive, truth: Trial, wrong: Trial, log: RobotLog, particles: int, seed: int) -> float:
     """Return the probability that a drive under one explanation tells it from another one."""
-    rng, logs = make_rng(stream(seed, "drive")), []
-    for _ in range(_TIMES):
-        simulated, _ = simulated_pieces(drive, log, truth.fit.path, truth.model, truth.fit.theta, rng, _START_STD)
-        logs += simulated
+    rng = make_rng(stream(seed, "drive"))
+    logs, _ = simulated_pieces(drive, log, truth.fit.path, truth.model, truth.fit.theta, rng, _START_STD, _TIMES)
     if len(logs) < 2:
         return 0.0
     right, other = (_densities(each.model.bind(logs), each.fit.theta, particles, seed) for each in (truth, wrong))

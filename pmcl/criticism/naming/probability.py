@@ -9,6 +9,7 @@ what is worth a longer fit, when the search ends, which name is told, and which 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -299,7 +300,7 @@ def _priors(effects: Sequence[Effect], directions: Sequence[Direction], formulas
 def _evidence_bound(p_value: float) -> float:
     """Return the greatest log Bayes factor that a p-value allows [nat]."""
     p = max(p_value, 1e-300)
-    return float(-np.log(-np.e * p * np.log(p))) if p < 1.0 / np.e else 0.0
+    return -math.log(-math.e * p * math.log(p)) if p < 1.0 / math.e else 0.0
 
 
 def _noise(trial: Trial) -> float:
