@@ -3,8 +3,9 @@
 A robot is simulated for up to 100 000 rows and calibrated with the defaults, one chain after the other on one thread.
 Each log is a process of its own, whose greatest memory is noted: Python and its libraries take 0.25 GB of it. A drive
 is also cut into pieces, each with a start belief of its own, as if the robot had been switched off in between. Then the
-number of chains, of particles and of landmarks is changed, one at a time. Rows go to results.csv; those that are there
-are not computed again. From the repository's root:
+number of chains, of particles and of landmarks is changed, one at a time. Logs of an hour, one row each second, are
+calibrated with all defaults, for what many logs would cost. Rows go to results.csv; those that are there are not
+computed again. From the repository's root:
 
     python analyses/long_logs/run.py                  # an hour and a half
     python analyses/long_logs/run.py --only sweeps    # only how a sweep's time grows with rows, particles and readings
@@ -19,6 +20,7 @@ import json
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -35,8 +37,8 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 
 CASE = ("robot", "rows", "pieces", "chains", "particles", "channels", "draws")
 FIELDS = (
-    *CASE, "burn_in_cpu_s", "cpu_s_per_draw", "sweeps_per_draw", "worst_ess", "r_hat", "peak_memory_gb", "parameters",
-    "means", "sds", "truth",
+    *CASE, "burn_in_cpu_s", "cpu_s_per_draw", "sweeps_per_draw", "worst_ess", "r_hat", "peak_memory_gb", "log_mb",
+    "posterior_mb", "parameters", "means", "sds", "truth",
 )  # fmt: skip
 SWEEPS = ("robot", "rows", "particles", "channels", "ms_per_sweep", "ns_per_particle_row")
 # As in CASE; draws are those of each chain.
@@ -47,6 +49,7 @@ FULL = (
     *(("landmarks", 2000, 1, chains, 25, 8, 40) for chains in (1, 4, 8)),
     *(("landmarks", 2000, 1, 2, particles, 8, 40) for particles in (100, 400)),
     *(("landmarks", 2000, 1, 2, 25, channels, 40) for channels in (2, 32, 128)),
+    ("landmarks", 3600, 1, 4, 25, 8, 1000), ("sonars", 3600, 1, 4, 25, 8, 1000),
     ("landmarks", 50_000, 1, 2, 25, 8, 100), ("landmarks", 100_000, 1, 2, 25, 8, 100),
 )  # fmt: skip
 SMALL = (("landmarks", 60, 1, 2, 25, 8, 20), ("landmarks", 120, 2, 1, 10, 4, 20))
@@ -103,9 +106,18 @@ def measure(robot, rows, pieces, chains, particles, channels, draws):
         "sweeps_per_draw": settings_of(posterior)["sweeps_per_draw"],
         "worst_ess": float(summary["ess_bulk"].min()), "r_hat": float(summary["r_hat"].max()),
         "peak_memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+        **_sizes(log, posterior),
         "parameters": " ".join(names), "means": _text(theta.mean(axis=(0, 1))), "sds": _text(theta.std(axis=(0, 1))),
         "truth": _text([log.true_theta[name] for name in names]),
     }  # fmt: skip
+
+
+def _sizes(log, posterior):
+    """Return how large the files of a log and of its posterior are."""
+    with tempfile.TemporaryDirectory() as folder:
+        log.write(Path(folder) / "log.nc")
+        pmcl.write_posterior(posterior, Path(folder) / "posterior.nc")
+        return {f"{name}_mb": (Path(folder) / f"{name}.nc").stat().st_size / 1e6 for name in ("log", "posterior")}
 
 
 def _text(values):
