@@ -33,8 +33,12 @@ def test_parameters_and_path_are_recovered(log):
     assert np.all(found.std < 0.5 * true)
     error = np.abs(found.path[:, :2] - log.true_poses[:, :2])
     assert np.mean(error) < 3.0 * np.mean(found.path_std[:, :2])
-    again = quick_fit(bound, 1)
-    np.testing.assert_array_equal(found.draws, again.draws)
+
+
+def test_the_same_seed_gives_the_same_draws(log):
+    bound = default_model(log).bind(log)
+    first, second = (quick_fit(bound, 1, effort=THOROUGH._replace(draws=5)) for _ in range(2))
+    np.testing.assert_array_equal(first.draws, second.draws)
 
 
 def test_first_rows_of_a_log_are_the_log_cut_there(log):

@@ -144,7 +144,7 @@ def _moments(paths, mean, covariance):
     ]
 
 
-@pytest.mark.parametrize("n", [5, 10, 20, 40])
+@pytest.mark.parametrize("n", [5, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 20)), 40])
 def test_conditional_sweeps_keep_the_exact_smoother(rail, n, sfc):
     tables, model = rail
     mean, covariance = kalman.path_posterior(model, *THETA)
@@ -153,7 +153,7 @@ def test_conditional_sweeps_keep_the_exact_smoother(rail, n, sfc):
         assert_agrees(draws, exact, matters)
 
 
-@pytest.mark.parametrize("n", [5, 10])
+@pytest.mark.parametrize("n", [pytest.param(5, marks=pytest.mark.slow), 10])
 def test_plain_smoothing_with_few_particles_does_not(rail, n, sfc):
     """What forgets the kept trajectory fails the very comparison above."""
     tables, model = rail

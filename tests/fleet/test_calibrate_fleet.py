@@ -32,7 +32,7 @@ def alone(logs):
     return {name: calibrate(log, **SHORT) for name, log in logs.items()}
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_each_posterior_is_that_of_calibrate(logs, alone, tmp_path, threads):
     told = []
     with ThreadPoolExecutor(threads) as executor:

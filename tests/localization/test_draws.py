@@ -155,7 +155,7 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("draws", [1, DRAWS])
+@pytest.mark.parametrize("draws", [pytest.param(1, marks=pytest.mark.slow), DRAWS])
 @pytest.mark.parametrize(
     "effects", [pytest.param(name, marks=pytest.mark.slow) if EFFECTS[name] else name for name in EFFECTS]
 )

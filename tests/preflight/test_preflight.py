@@ -119,7 +119,8 @@ def test_narrow_beams_in_degrees_are_told_by_the_readings():
     assert "beam-yaws-in-degrees" in names(mistakes.yaws_in_degrees(sound))
 
 
-@pytest.mark.parametrize("robot", [pytest.param("amigobot", marks=pytest.mark.slow), "field"])
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["amigobot", "field"])
 def test_a_start_that_is_not_known_is_no_mistake(robot):
     log = LOGS[robot]().select(0, 80)
     unknown = mistakes.changed(log, start_std=np.full(3, np.inf))

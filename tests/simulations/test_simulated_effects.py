@@ -44,6 +44,7 @@ def test_the_true_size_of_an_effect_is_more_likely_than_none(name):
 
 
 # Rounded readings lie in the middle of their cells, where a density by the step of the rounding has no score.
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "quantized-readings"])
 def test_the_score_of_a_simulated_effect_has_mean_zero_at_its_true_size(name):
     """The slope of the log density of each row by the effect's strength, at the truth; elsewhere it is not zero."""
