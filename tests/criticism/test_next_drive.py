@@ -118,8 +118,10 @@ def test_nothing_is_recommended_where_the_state_is_no_pose(log):
     assert next_drive([one, one], log, particles=100, seed=1) is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [0.015, 0.03, 0.15])
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param(size, marks=pytest.mark.slow if size == 0.03 else pytest.mark.long) for size in (0.015, 0.03, 0.15)],
+)
 def test_drives_tell_the_truth_as_often_as_promised(log, size):
     """Drives of two minutes, drawn anew: the share of them after which the true one of two has 90 % probability."""
     pair = [explanation(log, f"odometry-{what}-scale", size) for what in ("turn", "forward")]
