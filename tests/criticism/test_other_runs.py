@@ -38,7 +38,7 @@ def test_a_posterior_needs_full_chains():
         criticize(hidden("", 80.0), joint=False, posterior=True)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_effect_that_begins_late_is_named():
     """The noise grows at 65 % of the log; parameters are fitted to the first 60 % where gaps are shown."""
     result = small(hidden("range-noise-changes-in-time=0.9,0.65"), rounds=1)

@@ -59,12 +59,12 @@ NOT_SHOWN = {
 
 
 def _cases():
-    """Every mistake with every robot; all but the first robot of each mistake are slow."""
+    """Every mistake with every robot; all but the first robot of each mistake have a schedule of their own."""
     first = set()
     for robot, make in LOGS.items():
         for name in mistakes.mistakes_of(make()):
             if (robot, name) not in NOT_SHOWN:
-                yield pytest.param(robot, name, marks=[pytest.mark.slow] if name in first else [])
+                yield pytest.param(robot, name, marks=[pytest.mark.long] if name in first else [])
                 first.add(name)
 
 
