@@ -19,9 +19,11 @@ os.environ.setdefault("PMCL_COMPILE_AHEAD", "0")
 # Files that take longest for their number of tests, as two processes took them from an empty cache in November 2026.
 # They begin first: none is left for one process at the end while the other has nothing to do.
 _LONGEST = (
-    "docs/test_readme.py", "criticism/test_workflow.py", "corpus/test_corpus.py", "criticism/test_other_runs.py",
-    "cli/test_criticize.py", "rooms/test_rooms.py", "docs/test_examples.py", "test_recorded_robots.py",
-    "sampling/test_killed_runs.py", "reports/test_criticism_report.py", "cli/test_wean_bags.py",
+    "docs/test_readme.py", "criticism/test_workflow.py", "docs/test_examples.py", "rooms/test_rooms.py",
+    "fleet/test_cluster.py", "sampling/test_killed_runs.py", "test_recorded_robots.py", "cli/test_criticize.py",
+    "sampling/test_posterior_grid.py", "corpus/test_corpus.py", "criticism/test_other_runs.py",
+    "sampling/test_pseudo_marginal.py", "criticism/test_evidence.py", "reports/test_criticism_report.py",
+    "cli/test_wean_bags.py", "preflight/test_sound_logs.py", "criticism/test_held_out_log.py",
     "analyses/test_experiments.py", "cli/test_own_effects.py", "preflight/test_lidar_mistakes.py",
     "localization/test_lidar_anywhere.py", "localization/test_draws.py", "criticism/test_quick_fit.py",
     "sampling/test_kalman.py", "sampling/test_walk_resume.py",

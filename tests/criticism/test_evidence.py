@@ -51,8 +51,10 @@ def exact(bound, scales):
     return float(special.logsumexp(values) + sum(cells))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("hidden", "least"), [(0.0, -6.0), (0.03, 2.5)])
+@pytest.mark.parametrize(
+    ("hidden", "least"),
+    [pytest.param(0.0, -6.0, marks=pytest.mark.long), pytest.param(0.03, 2.5, marks=pytest.mark.slow)],
+)
 def test_evidence_is_that_of_the_kalman_filter(hidden, least):
     log = rail_log(150, 4)
     dataset = log.dataset.copy(deep=True)

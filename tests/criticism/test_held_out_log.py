@@ -60,8 +60,13 @@ def test_what_cannot_confirm_is_refused():
         criticize(log, held_out="other.nc")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("text", "confirmed"), [("bearing-bias=large", True), ("", False)])
+@pytest.mark.parametrize(
+    ("text", "confirmed"),
+    [
+        pytest.param("bearing-bias=large", True, marks=pytest.mark.slow),
+        pytest.param("", False, marks=pytest.mark.long),
+    ],
+)
 def test_the_critic_tells_whether_the_second_log_confirms(text, confirmed):
     log, other = field(1, rows=160), field(2, text, rows=140)
     result = criticize(log, held_out=other, simulations=20, joint=False, rounds=1, seed=1, workers=1)

@@ -89,8 +89,10 @@ def _chain(bound, settings, transport, state, draws, step, seed):
     return run_chain(bound, settings, transport, state, draws, seed, step)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("transported", "sweeps"), [(True, 1), (False, 5)])
+@pytest.mark.parametrize(
+    ("transported", "sweeps"),
+    [pytest.param(True, 1, marks=pytest.mark.slow), pytest.param(False, 5, marks=pytest.mark.long)],
+)
 def test_conditional_sweeps_have_the_exact_posterior(bound, exact, seeds, transported, sweeps):
     """With 20 particles only, four chains."""
     settings = SweepSettings("conditional", 20, 3, 4, sweeps)
@@ -109,7 +111,7 @@ def test_sweeps_that_seldom_use_particles_have_it_too(bound, exact, seeds):
     assert np.abs(off).max() <= TOLERANCE, off.round(1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_smoothing_sweeps_need_many_particles(bound, exact, seeds):
     """The paper's kernel: with 500 particles nothing is to be seen, with 20 the same comparison fails."""
     off, _ = _off(bound, exact, SweepSettings("smoothing", 500, 3, 4), seeds, 1200, transported=True)

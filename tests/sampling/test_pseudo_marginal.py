@@ -47,8 +47,10 @@ def _off(bound, exact, method, draws):
     return features.mean(axis=(0, 1)) / error, MATTERS / error
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("blocks", "particles"), [(1, 40), (6, 16)])
+@pytest.mark.parametrize(
+    ("blocks", "particles"),
+    [pytest.param(1, 40, marks=pytest.mark.long), pytest.param(6, 16, marks=pytest.mark.slow)],
+)
 def test_the_posterior_is_exact_with_few_particles(bound, exact, blocks, particles):
     method = ParticleMetropolis(particles=particles, blocks=blocks, tuning_steps=(50, 100), proposals_per_draw=4)
     off, sharpness = _off(bound, exact, method, 800)
@@ -56,7 +58,7 @@ def test_the_posterior_is_exact_with_few_particles(bound, exact, blocks, particl
     assert np.abs(off).max() <= TOLERANCE, off.round(1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_estimate_that_is_drawn_again_for_the_current_state_is_noticed(bound, exact, monkeypatch):
     """Monte Carlo within Metropolis: the classical mistake. Both estimates of a ratio are then drawn anew."""
     real = pseudo_marginal.estimate_evidence

@@ -120,8 +120,9 @@ def calibrated():
 
 
 # Steps of the stages on a log of 6 rows: inclusion 26, tuning 60, 80 and 120, then 12 draws.
-@pytest.mark.slow
-@pytest.mark.parametrize("step", [10, 27, 292])
+@pytest.mark.parametrize(
+    "step", [pytest.param(step, marks=pytest.mark.slow if step < 100 else pytest.mark.long) for step in (10, 27, 292)]
+)
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(step, calibrated, tmp_path):
     """Killed while data is being included, just after that stage, and among the draws."""
     log, model = amigobot_log(6, seed=3), tight_model()
