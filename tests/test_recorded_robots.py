@@ -35,18 +35,18 @@ def path_error(data, log: RobotLog) -> tuple[float, float]:
 
 RECORDINGS = [
     # Three minutes; the commands of the README calibrate this robot as well, with fewer draws.
-    pytest.param("mrclam", "mrclam6", ["--robot", "1", "--period", "0.5"], 0.60, 1000, marks=pytest.mark.long),
-    pytest.param("barfoot", "lost_in_the_woods", [], 0.30, 400, marks=pytest.mark.slow),
+    pytest.param("mrclam", "mrclam6", ["--robot", "1", "--period", "0.5"], 0.60, marks=pytest.mark.long),
+    pytest.param("barfoot", "lost_in_the_woods", [], 0.30, marks=pytest.mark.slow),
 ]
 
 
-@pytest.mark.parametrize(("source", "folder", "options", "worst_error", "draws"), RECORDINGS)
-def test_a_recorded_robot_is_calibrated(shared_data, tmp_path, capsys, source, folder, options, worst_error, draws):
+@pytest.mark.parametrize(("source", "folder", "options", "worst_error"), RECORDINGS)
+def test_a_recorded_robot_is_calibrated(shared_data, tmp_path, capsys, source, folder, options, worst_error):
     log_file, posterior_file = tmp_path / "run.nc", tmp_path / "post.nc"
     run("convert", source, shared_data / folder, *options, "-o", log_file)
     began = time.perf_counter()
     # The chains converge, and the default model does not fit: errors of the camera and of the laser last.
-    run("calibrate", log_file, "--draws", draws, "-o", posterior_file, status=DOES_NOT_FIT)
+    run("calibrate", log_file, "-o", posterior_file, status=DOES_NOT_FIT)
     seconds = time.perf_counter() - began
     data, log = read_posterior(posterior_file), RobotLog.read(log_file)
     summary = summarize(data)
@@ -57,8 +57,7 @@ def test_a_recorded_robot_is_calibrated(shared_data, tmp_path, capsys, source, f
             f"bulk ESS >= {float(summary['ess_bulk'].min()):.0f}; "
             f"smoothed path off by {position:.3f} m and {heading:.4f} rad (RMSE)"
         )
-    # The fewer draws, the more R-hat of chains that have converged differs from one by chance.
-    assert float(summary["r_hat"].max()) <= 1.0 + 5.0 / draws
-    assert float(summary["ess_bulk"].min()) >= draws
+    assert float(summary["r_hat"].max()) <= 1.005
+    assert float(summary["ess_bulk"].min()) >= 1000
     # The reference was never read by calibration. A robot that is lost is off by metres.
     assert position < worst_error

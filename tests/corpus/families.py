@@ -35,7 +35,7 @@ _ONCE_WRONG = (
     "recording: csv, 30 000 unknown columns",
 )
 # Of the other cases that may always run, one in so many does.
-_ONE_IN = 24
+_ONE_IN = 12
 
 FAMILIES = {
     "logs": logs,

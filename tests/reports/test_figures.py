@@ -185,17 +185,17 @@ def _with(case, theta, names, units):
 
 
 @pytest.mark.parametrize("plot", THETA_PLOTS)
-@pytest.mark.parametrize("kind", ["one parameter", "five long names", "never moved", "two draws"])
+@pytest.mark.parametrize("kind", ["one parameter", "seven long names", "never moved", "two draws"])
 def test_unusual_posteriors_can_be_drawn(plot, kind):
     n_draws = 2 if kind == "two draws" else 60
     case = fake_case(n_draws=n_draws, n_stored=1)
     names, units, theta = NAMES, ("m", "rad", ""), case.chains.theta
     if kind == "one parameter":
         names, units, theta = names[:1], units[:1], theta[..., :1]
-    elif kind == "five long names":
-        names = tuple(f"sigma_turn_per_metre_{index}" for index in range(5))
-        units = ("rad",) * 5
-        theta = np.abs(autoregressive(np.random.default_rng(0), 4, n_draws, 5, 0.0))
+    elif kind == "seven long names":
+        names = tuple(f"sigma_turn_per_metre_{index}" for index in range(7))
+        units = ("rad",) * 7
+        theta = np.abs(autoregressive(np.random.default_rng(0), 4, n_draws, 7, 0.0))
     elif kind == "never moved":
         theta = np.full_like(theta, 0.02)
     assert rendered(plot(_with(case, theta, names, units))).startswith(b"\x89PNG")

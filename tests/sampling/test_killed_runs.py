@@ -281,8 +281,8 @@ def _killed_at_random(number, rounds, whole_run, tmp_path, rng, monkeypatch):
         rests = set(os.listdir(place)) - {"log.nc", "p.nc", "said"}
         assert all(name.startswith(".p.nc.") and not name.startswith(".p.nc.checkpoint") for name in rests), rests
         shutil.rmtree(place)
-    # Most moments lie in the run, with a checkpoint on the disk; of a few, none may.
-    assert rounds < 10 or sum(met) > rounds // 3, met
+    # Most moments lie in the run, with a checkpoint on the disk.
+    assert sum(met) > rounds // 3, met
 
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGKILL] if sys.platform != "win32" else [])]
@@ -292,7 +292,7 @@ SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGKILL] if sys.platform != 
 @pytest.mark.skipif(FORKED is None, reason="processes cannot be forked there")
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_run_killed_at_some_moments_gives_the_same_file(number, whole_run, tmp_path, rng, monkeypatch):
-    _killed_at_random(number, 2, whole_run, tmp_path, rng, monkeypatch)
+    _killed_at_random(number, 4, whole_run, tmp_path, rng, monkeypatch)
 
 
 @pytest.mark.long
