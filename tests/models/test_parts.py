@@ -255,3 +255,13 @@ def test_parameters_of_pmcl_have_the_roles_of_their_names(log):
             assert parameter.role == ("noise growth" if "_per_" in parameter.name else "noise"), parameter.name
         else:
             assert (parameter.role == "weight") == parameter.name.endswith("_weight"), parameter.name
+
+
+def test_the_prior_mean_is_the_mean_or_the_median_where_there_is_none():
+    log = simulate_landmark_field(5, 1)
+    fat = stats.halfcauchy(scale=0.1)  # its mean is infinite
+    skew = stats.gamma(2.0, scale=0.03)
+    bound = RobotModel(sensors=default_model(log).sensors, priors={"sigma_left": fat, "sigma_turn": skew}).bind(log)
+    found = dict(zip(bound.names, bound.prior_mean(), strict=True))
+    assert found["sigma_left"] == pytest.approx(0.1)
+    assert found["sigma_turn"] == pytest.approx(0.06)
