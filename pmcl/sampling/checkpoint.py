@@ -1,8 +1,9 @@
 """The checkpoint file: which run it belongs to, and all that resuming the run needs.
 
-The file is HDF5 with one group for each stage. Chains, log densities and blobs lie where emcee's own ``HDFBackend``
-looks for them, trajectories beside them. Each time the whole file is written anew under another name, which then takes
-the place of the old one: whatever happens in between, there is always one complete file.
+The file is HDF5 with one group for each stage, after a head that tells whose it is and whether it is whole, see
+:mod:`pmcl.sampling.checkpoint_head`. Chains, log densities and blobs lie where emcee's own ``HDFBackend`` looks for
+them, trajectories beside them. Each time the whole file is written anew under another name, which then takes the place
+of the old one: whatever happens in between, there is always one complete file.
 """
 
 from __future__ import annotations
@@ -31,14 +32,13 @@ from pmcl.hdf5 import UnsafeFileError, stored_arrays
 from pmcl.models.effects.formula import Formula
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
+from pmcl.sampling.checkpoint_head import LAYOUT, N_BYTES, read_head, seal
 from pmcl.whole_file import remove_rests, write_whole
 
 __all__ = ["Checkpoint", "fingerprint", "the_only_run"]
 
 _logger = logging.getLogger("pmcl.sampling")
 
-# Grows when the layout of the file changes.
-_VERSION = 3
 # Seconds between two writes: at least so many, and so many times as long as the last write took. So a run that is
 # killed loses a few seconds, and writing takes at most a twentieth of the time.
 _LEAST_PAUSE, _PAUSE_PER_WRITE = 5.0, 20.0
@@ -191,7 +191,6 @@ class Checkpoint:
             When the file is damaged.
         """
         backend = StageBackend(steps, window, keep_every)
-        self._stages[name] = backend
         if self.path.exists():
             try:
                 with h5py.File(self.path, "r") as file:
@@ -200,6 +199,8 @@ class Checkpoint:
             # HDF5 raises nearly anything on damaged files: KeyError and RuntimeError besides OSError and ValueError.
             except Exception as error:
                 raise self._unreadable(error) from None
+        # Only now: a stage that was read in part must not be written over the file when the run ends by this error.
+        self._stages[name] = backend
         self._steps_written = self._steps()
         return backend
 
@@ -220,8 +221,9 @@ class Checkpoint:
         try:
             # In memory first: HDF5 crashes, or leaves a file open, where the disk gets full.
             content = io.BytesIO()
-            with h5py.File(content, "w") as file:
+            with h5py.File(content, "w", userblock_size=N_BYTES) as file:
                 self._fill(file)
+            seal(content.getbuffer(), self.expected)
             write_whole(self.path, content.getbuffer(), error=SamplingError)
             self._steps_written = self._steps()
         except SamplingError as error:
@@ -267,27 +269,41 @@ class Checkpoint:
         )
 
     def _check_run(self) -> None:
+        """Refuse a file of another run, a damaged one, and one that is no checkpoint, before anything in it is used."""
+        if self.path.is_file():
+            self._check_head()
         try:
             stored_arrays(self.path)
-            with h5py.File(self.path, "r") as file:
-                found = str(file.attrs.get("pmcl_fingerprint", ""))
-                layout = int(file.attrs.get("pmcl_checkpoint", 0))
         except Exception as error:
             raise self._unreadable(error) from None
-        if layout != _VERSION:
+
+    def _check_head(self) -> None:
+        try:
+            head = read_head(self.path)
+        except OSError as error:
+            raise self._unreadable(error) from None
+        if head is None:
             raise SamplingError(
-                f"{self.path}: expected a checkpoint of this version of pmcl, but another version or program wrote "
-                "it; resume with that version, or remove it to start anew"
+                f"{self.path}: expected a checkpoint of this version of pmcl, but its first line is another: an older "
+                "version or another program wrote it, or it is damaged; remove it to start anew"
             )
-        if found != self.expected:
+        if head.layout != LAYOUT:
+            raise SamplingError(
+                f"{self.path}: expected a checkpoint of this version of pmcl, but another version wrote it (layout "
+                f"{head.layout} instead of {LAYOUT}); resume with that version, or remove it to start anew"
+            )
+        if not head.whole:
+            raise SamplingError(
+                f"{self.path}: expected the bytes that were written, but the checkpoint is damaged (its SHA-256 is not "
+                "the one in its head); remove it to start anew"
+            )
+        if head.run != self.expected:
             raise SamplingError(
                 f"{self.path}: the checkpoint belongs to another run (log, model, priors, settings or pmcl's version "
                 "differ); resume with the settings it was begun with, or remove it to start anew"
             )
 
     def _fill(self, file: Any) -> None:
-        file.attrs["pmcl_fingerprint"] = self.expected
-        file.attrs["pmcl_checkpoint"] = _VERSION
         stages = [(name, backend) for name, backend in self._stages.items() if backend.iteration]
         for number, (name, backend) in enumerate(stages):
             group = file.create_group(name)
@@ -324,9 +340,22 @@ def _read_stage(group: Any, backend: StageBackend) -> None:
     backend.random_state = tuple(group.attrs[f"random_state_{number}"] for number in range(5))
     backend.accepted = group["accepted"][...]
     for name in _ARRAYS:
-        setattr(backend, name, group[name][...])
+        setattr(backend, name, _shaped(group, name, (backend.iteration, *backend.shape))[...])
     for name in ("last_path", "path_sum", "first_path"):
         if name in group:
             setattr(backend, name, group[name][...])
     if "kept_offsets" in group:
         backend.kept_offsets = list(group["kept_offsets"][...])
+    n_kept = -(-backend.iteration // backend.keep_every) if backend.keep_every else 0
+    if len(backend.kept_offsets) != n_kept or (n_kept and backend.first_path is None):
+        raise ValueError(f"'{group.name}' has not the {n_kept} trajectories that were kept")
+    if not backend.complete and backend.last_path is None:
+        raise ValueError(f"'{group.name}' has no last trajectories")
+
+
+def _shaped(group: Any, name: str, shape: tuple[int, ...]) -> Any:
+    """Return an array of a stage that has a row for each step; the draws have a column for each parameter as well."""
+    expected = shape if name == "chain" else shape[:2]
+    if group[name].shape != expected:
+        raise ValueError(f"'{group[name].name}' has shape {group[name].shape}, not {expected}")
+    return group[name]

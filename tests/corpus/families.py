@@ -12,6 +12,8 @@ __all__ = ["FAMILIES", "all_cases", "quick_cases"]
 
 # Inputs that once ended in a traceback, took gigabytes or a minute, or were accepted; they are always run.
 _ONCE_WRONG = (
+    "checkpoint: flipped 2",
+    "checkpoint: flipped 4",
     "log: format of two numbers",
     "log: odometry of 1e308",
     "log: labels twice",

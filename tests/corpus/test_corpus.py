@@ -36,7 +36,7 @@ def problems(family, sound, runner, folder, *, quick):
     return [f"{result.case.title}: {result.problem}" for result in results if result.problem]
 
 
-QUICK = [family for family in FAMILIES if family not in ("checkpoints", "posteriors")]
+QUICK = [family for family in FAMILIES if family != "posteriors"]
 
 
 @pytest.mark.parametrize("family", QUICK)

@@ -32,6 +32,9 @@ METHODS = {
 }
 OPTIONS = RunOptions(draws=5, chains=6, seed=5, trajectories=2)
 
+# The fingerprint of a run that was never made.
+RUN = "1" * 64
+
 
 @pytest.fixture(autouse=True)
 def every_step(monkeypatch):
@@ -140,7 +143,7 @@ def test_every_prefix_of_the_write_trace_holds_one_whole_checkpoint_or_none(tmp_
 
     def run():
         with checkpoint.the_only_run(str(path)):
-            return _made_up_stages(checkpoint.Checkpoint(str(path), "one run", resume=False))
+            return _made_up_stages(checkpoint.Checkpoint(str(path), RUN, resume=False))
 
     chain, states = states_of(path.parent, run)
     assert any(set(state) - {"run.h5", ".run.h5.lock"} for state in states), "no file was seen in the making"
@@ -149,7 +152,7 @@ def test_every_prefix_of_the_write_trace_holds_one_whole_checkpoint_or_none(tmp_
     assert len(contents) == 6
     for steps, content in enumerate(contents, start=1):
         path.write_bytes(content)
-        file = checkpoint.Checkpoint(str(path), "one run", resume=True)
+        file = checkpoint.Checkpoint(str(path), RUN, resume=True)
         names = ["inclusion", "draws"][: 1 if steps <= 3 else 2]
         read = np.concatenate([file.backend(name, 3, 2, 1).get_chain() for name in names])
         np.testing.assert_array_equal(read, chain[:steps])

@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 import pytest
 from oracles.amigobot_model import amigobot_log, tight_model
+from oracles.changed_checkpoints import changed_checkpoint, with_head
 from oracles.random_walk_model import rail_log, rail_model
 from scipy import stats
 
@@ -67,6 +68,7 @@ def write(group, backend):
     written(group, backend)
 checkpoint._write_stage = write
 from oracles.amigobot_model import amigobot_log, tight_model
+from oracles.changed_checkpoints import changed_checkpoint, with_head
 from pmcl.calibration import ParticleGibbs, calibrate
 calibrate(amigobot_log(6, seed=3), tight_model(), checkpoint=sys.argv[1], **{settings})
 """
@@ -260,7 +262,7 @@ def of_another_file(file):
 def test_a_checkpoint_that_points_to_other_files_is_refused(rail, finished, change, tmp_path):
     path = tmp_path / "run.h5"
     path.write_bytes(Path(finished).read_bytes())
-    with h5py.File(path, "r+") as file:
+    with changed_checkpoint(path) as file:
         change(file)
     with pytest.raises(SamplingError, match=r"with its own data and no more, .* '/etc/hostname'; remove it"):
         run(rail, checkpoint=str(path), resume=True)
@@ -286,11 +288,20 @@ def test_two_runs_do_not_share_a_checkpoint(rail, tmp_path):
 
 def test_a_checkpoint_of_another_version_is_refused(rail, finished, tmp_path):
     path = tmp_path / "run.h5"
-    path.write_bytes(Path(finished).read_bytes())
-    with h5py.File(path, "a") as file:
-        file.attrs["pmcl_checkpoint"] = 1
-    with pytest.raises(SamplingError, match="another version"):
+    path.write_bytes(with_head(Path(finished).read_bytes(), layout=1))
+    with pytest.raises(SamplingError, match=r"another version wrote it \(layout 1 instead of 4\)"):
         run(rail, checkpoint=str(path), resume=True)
+
+
+def test_every_changed_byte_is_noticed_before_hdf5_reads_the_file(rail, finished, tmp_path, monkeypatch):
+    content, path = Path(finished).read_bytes(), tmp_path / "run.h5"
+    monkeypatch.setattr("pmcl.sampling.checkpoint.stored_arrays", lambda path: pytest.fail("HDF5 read a damaged file"))
+    for place in (0, 15, 21, 80, 90, 200, 511, 512, 600, len(content) // 2, len(content) - 1):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        with pytest.raises(SamplingError, match="remove it to start anew"):
+            run(rail, checkpoint=str(path), resume=True)
 
 
 @pytest.mark.usefixtures("every_step")
