@@ -34,12 +34,13 @@ def path_error(data, log: RobotLog) -> tuple[float, float]:
 
 
 RECORDINGS = [
-    # Three minutes; the commands of the README calibrate this robot as well, with fewer draws.
-    pytest.param("mrclam", "mrclam6", ["--robot", "1", "--period", "0.5"], 0.60, marks=pytest.mark.long),
-    pytest.param("barfoot", "lost_in_the_woods", [], 0.30, marks=pytest.mark.slow),
+    ("mrclam", "mrclam6", ["--robot", "1", "--period", "0.5"], 0.60),
+    ("barfoot", "lost_in_the_woods", [], 0.30),
 ]
 
 
+# The commands of the README calibrate recorded robots as well, with fewer draws.
+@pytest.mark.long
 @pytest.mark.parametrize(("source", "folder", "options", "worst_error"), RECORDINGS)
 def test_a_recorded_robot_is_calibrated(shared_data, tmp_path, capsys, source, folder, options, worst_error):
     log_file, posterior_file = tmp_path / "run.nc", tmp_path / "post.nc"

@@ -135,7 +135,7 @@ def test_calibrated_parameters_localize_nearly_as_well_as_true_ones(small):
         assert abs(mean[method] / mean["true"] - 1.0) < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_calibrated_aibo_predicts_better_than_its_prior(small):
     errors = localization_errors(small("localization_error", "aibo") / "errors_aibo.csv")
     assert set(errors["score"]) == {"prior", "true", "mean", "map", "posterior"}
@@ -259,7 +259,7 @@ def test_methods_are_compared_and_cover_the_truth_as_they_say(small):
     assert all(0.0 <= float(row["share_below"]) <= 1.0 for row in covered if row["method"] == "conditional")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_long_logs_and_pieces_of_a_drive_are_measured(small):
     folder = small("long_logs")
     rows = {(int(row["rows"]), int(row["pieces"])): row for row in read(folder / "results.csv")}

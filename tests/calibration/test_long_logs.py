@@ -20,6 +20,7 @@ def test_trajectories_fit_into_memory(monkeypatch, states, kept):
     assert trajectory_draws(posterior).sizes["trajectory_draw"] == kept
 
 
+@pytest.mark.slow
 def test_a_calibration_in_blocks_is_the_same(monkeypatch):
     log = simulate_landmark_field(40, 1)
     expected = theta_draws(pmcl.calibrate(log, draws=10, chains=2, seed=3, check=False))

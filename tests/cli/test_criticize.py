@@ -98,7 +98,7 @@ def test_notes_and_what_to_record_next_are_told(run, biased, tmp_path, monkeypat
     assert note == "note: 500 particles lose the robot"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_criticize_found_is_used_by_other_commands(run, biased, tmp_path, monkeypatch):
     """Criticize writes a page and JSON and hands over model and posterior; the other commands take them."""
     monkeypatch.chdir(tmp_path)

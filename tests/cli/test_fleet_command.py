@@ -32,6 +32,7 @@ def _criticism(log, name="range-bias"):
     })  # fmt: skip
 
 
+@pytest.mark.slow
 def test_it_writes_posteriors_a_page_and_data_and_skips_what_is_done(run, files, tmp_path):
     folder = tmp_path / "fleet"
     first = run("fleet", *files, "-o", folder, *SHORT)
@@ -57,6 +58,7 @@ def test_it_writes_posteriors_a_page_and_data_and_skips_what_is_done(run, files,
         assert words in page
 
 
+@pytest.mark.slow
 def test_a_folder_of_other_settings_or_a_criticism_of_another_log_is_refused(run, refused, files, tmp_path):
     folder = tmp_path / "fleet"
     assert run("fleet", files[0], "-o", folder, *SHORT, "--no-progress").exit_code == 3

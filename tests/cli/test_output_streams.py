@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-COMMAND = f"{sys.executable} -c 'from pmcl.cli import main; main()' effects"
+COMMAND = f"{sys.executable} -c 'from pmcl.cli import main; main()' example"
 
 
 def _run(redirection):

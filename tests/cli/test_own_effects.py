@@ -47,7 +47,7 @@ def test_without_the_file_the_name_is_unknown(refused, log_file, effects_file, t
     assert "own_effect.py, line 1: expected Python code that runs, but got ModuleNotFoundError" in message
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_critic_finds_an_effect_of_ones_own(run, effects_file, tmp_path):
     log_file, page = tmp_path / "steered.nc", tmp_path / "page.html"
     run(

@@ -56,6 +56,7 @@ def _scored_log(rng, shift=0.0, own=0.0):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_false_alarms_come_at_the_rate_asked_for(rng):
     directions, runs, alarms, own = _directions(), 200, 0, []
     for _ in range(runs):

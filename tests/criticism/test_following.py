@@ -99,6 +99,7 @@ def test_a_robot_that_was_carried_away_is_lost_from_then_on(log):
     assert particles_that_follow(default_model(before).bind(before), theta, 500, 1) == (500, "")
 
 
+@pytest.mark.slow
 def test_a_lost_robot_shows_although_all_its_readings_may_be_gross_errors():
     """With gross errors in the model no reading contradicts it; a lost robot shows in most of them being such."""
     log = simulate_landmark_field(200, 1, bearings=True)

@@ -125,7 +125,7 @@ def test_coefficient_is_filled_in():
     assert filled_in("formula: turn += c*speed", -0.25) == "formula: turn += -0.25*speed"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_drift_outside_the_catalogue_is_found_as_a_formula():
     def drifting(tables, values, log, where):
         mean = tables.motion.mean.copy()

@@ -31,6 +31,7 @@ def base():
     return log, quick_fit(bound, 1, effort=BRIEF)
 
 
+@pytest.mark.slow
 def test_a_second_log_is_predicted_by_what_was_fitted_to_the_first(base):
     """As the filter of the same parameters predicts it, row by row."""
     _, fit = base
@@ -60,13 +61,8 @@ def test_what_cannot_confirm_is_refused():
         criticize(log, held_out="other.nc")
 
 
-@pytest.mark.parametrize(
-    ("text", "confirmed"),
-    [
-        pytest.param("bearing-bias=large", True, marks=pytest.mark.slow),
-        pytest.param("", False, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("text", "confirmed"), [("bearing-bias=large", True), ("", False)])
 def test_the_critic_tells_whether_the_second_log_confirms(text, confirmed):
     log, other = field(1, rows=160), field(2, text, rows=140)
     result = criticize(log, held_out=other, simulations=20, joint=False, rounds=1, seed=1, workers=1)

@@ -146,7 +146,7 @@ def test_the_largest_block_of_a_gain_is_bounded():
     assert Gain(-20.0, 5.0, 3.0).bounded == -23.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays():
     noise = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
     given = ("quantized-readings=clear", "range-bias=large")

@@ -43,6 +43,7 @@ def explanation(log, name, value):
     return SimpleNamespace(model=model, fit=SimpleNamespace(theta=theta, path=path))
 
 
+@pytest.mark.slow
 def test_the_drive_is_one_in_which_the_effects_act(log):
     """A turn scale acts where the robot turns, and a forward scale where it drives; standing still tells nothing."""
     turn, forward = (explanation(log, f"odometry-{what}-scale", 0.15) for what in ("turn", "forward"))
@@ -118,10 +119,8 @@ def test_nothing_is_recommended_where_the_state_is_no_pose(log):
     assert next_drive([one, one], log, particles=100, seed=1) is None
 
 
-@pytest.mark.parametrize(
-    "size",
-    [pytest.param(size, marks=pytest.mark.slow if size == 0.03 else pytest.mark.long) for size in (0.015, 0.03, 0.15)],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("size", [0.015, 0.03, 0.15])
 def test_drives_tell_the_truth_as_often_as_promised(log, size):
     """Drives of two minutes, drawn anew: the share of them after which the true one of two has 90 % probability."""
     pair = [explanation(log, f"odometry-{what}-scale", size) for what in ("turn", "forward")]

@@ -70,7 +70,7 @@ def test_an_alarm_in_doubt_is_judged_again_before_everything_is_searched(monkeyp
     assert not result.effects
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_filter_that_is_lost_without_an_effect_finds_the_robot_with_it(monkeypatch):
     follow = loop.particles_that_follow
 

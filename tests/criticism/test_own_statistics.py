@@ -40,6 +40,7 @@ def judged(tilt, statistics=(own_statistic.ARM_LEANS,)):
     return judge_log(bound.logs[0], fit, (), settings)
 
 
+@pytest.mark.slow
 def test_what_only_its_user_knows_of_is_found_by_the_statistic_alone():
     with_statistic = judged(0.03)
     alarms = {alarm.family: alarm for alarm in with_statistic.judgement.alarms}

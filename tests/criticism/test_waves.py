@@ -84,7 +84,7 @@ def test_a_wave_is_a_steady_change_times_a_sine():
     np.testing.assert_allclose(changed, short.motion.mean[:, 2] + 0.1 * sine[:30])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wave_wins_over_noise_with_a_memory():
     result = criticize(_log(0.08), simulations=20, joint=False, seed=1, rounds=1)
     (effect,) = result.effects

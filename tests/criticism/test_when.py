@@ -106,6 +106,7 @@ def fitted(text, first, last, seed=3, rows=240):
     return quick_fit(bound, seed, theta=theta, path=unwrapped(log.true_poses), effort=BRIEF), effect
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "last"), [(100, 240), (0, 240)])
 def test_an_effect_that_begins_has_an_onset_and_a_lasting_one_has_none(first, last):
     fit, effect = fitted("landmark-range-bias=0.2", first, last)
@@ -166,7 +167,7 @@ def test_the_file_holds_the_window():
     assert effect_entry(found(BY_NAME["range-bias"], [0.03]), (0.0, 599.0))["window"] is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_critic_says_when_what_it_found_begins(tmp_path):
     log = windowed("field", "landmark-range-bias=0.2", 90, 240, 240, 4)
     result = criticize(log, simulations=20, joint=False, rounds=1, seed=1, workers=1)

@@ -21,10 +21,12 @@ SHORTER = (
         "pmcl.calibrate(log",
         "pmcl.calibrate(log, method=pmcl.ParticleGibbs(burn_in_particles=100), draws=20, chains=2, seed=1",
     ),
-    ("MRCLAM_Dataset6 --robot 1 -o", "MRCLAM_Dataset6 --robot 1 --duration 300 -o"),
-    ("--duration 380 -o first.nc", "--duration 200 -o first.nc"),
-    ("--begin 380 -o second.nc", "--begin 200 --duration 100 -o second.nc"),
-    ("--map wean.dat.gz -o", "--map wean.dat.gz --duration 150 -o"),
+    ("MRCLAM_Dataset6 --robot 1 -o", "MRCLAM_Dataset6 --robot 1 --duration 150 -o"),
+    ("--duration 380 -o first.nc", "--duration 120 -o first.nc"),
+    ("--begin 380 -o second.nc", "--begin 120 --duration 60 -o second.nc"),
+    ("--duration 35 -o jarvis1.nc", "--duration 15 -o jarvis1.nc"),
+    ("--begin 35 -o jarvis2.nc", "--begin 15 --duration 15 -o jarvis2.nc"),
+    ("--map wean.dat.gz -o", "--map wean.dat.gz --duration 100 -o"),
     ("pmcl calibrate robot1.nc --model", "pmcl calibrate robot1.nc --draws 20 --burn-in-particles 300 --model"),
     ("pmcl criticize robot1.nc", "pmcl criticize robot1.nc --no-joint --rounds 1"),
     ("pmcl criticize first.nc", "pmcl criticize first.nc --rounds 1"),
@@ -34,7 +36,7 @@ SHORTER = (
     ("pmcl calibrate jarvis1.nc", "pmcl calibrate jarvis1.nc --draws 20 --chains 2"),
     ("simulate amigobot --seed", "simulate amigobot --duration 60 --seed"),
     ("pmcl fleet amigobot1.nc", "pmcl fleet --draws 20 --chains 2 --burn-in-particles 100 amigobot1.nc"),
-    ("-o steered.nc", "--duration 300 -o steered.nc"),
+    ("-o steered.nc", "--duration 150 -o steered.nc"),
 )
 """The one place that changes what is shown before it is run: settings for which a run takes seconds, not minutes."""
 

@@ -91,7 +91,7 @@ def exact_compass_noise():
     return centre, np.sqrt(np.average((sigma - centre) ** 2, weights=weight))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sensor_of_the_example_gives_the_exact_posterior(tmp_path, monkeypatch, capsys):
     own_sensor.main(draws=500)
     mean, spread = (float(x) for x in re.search(r"= ([\d.]+) \+- ([\d.]+)", capsys.readouterr().out).groups())
@@ -101,8 +101,11 @@ def test_the_sensor_of_the_example_gives_the_exact_posterior(tmp_path, monkeypat
     assert spread == pytest.approx(exact_spread, rel=0.15)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", EXPECTED)
+# Two of them are in the README as well, whose commands run among the slow tests.
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name == "apriltags" else pytest.mark.long) for name in EXPECTED],
+)
 def test_examples_find_what_they_simulate(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     importlib.import_module(f"pmcl.examples.{name}").main(draws=200)
@@ -116,7 +119,7 @@ def test_every_example_is_run():
     assert {*EXPECTED, "own_sensor", "own_statistic"} == set(example_names())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_statistic_of_the_example_tells_which_ranges_are_off(capsys):
     importlib.import_module("pmcl.examples.own_statistic").main()
     steady, tilted = (float(p) for p in re.findall(r"p = ([\d.e+-]+);", capsys.readouterr().out))

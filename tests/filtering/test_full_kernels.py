@@ -20,6 +20,9 @@ from pmcl.models.tables import Tables
 
 # mypy: disable-error-code="no-untyped-def"
 
+# Most of their time is compiling: each of them has kernels of its own.
+pytestmark = pytest.mark.slow
+
 
 @entry
 def compiled_readings(sensor, t, previous, current, logp, scratch):

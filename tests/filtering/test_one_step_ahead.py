@@ -76,6 +76,7 @@ def _with(sensor, t, slot, value):
     return sensor._replace(**{name: values})
 
 
+@pytest.mark.slow
 def test_distribution_functions_are_integrals_of_the_densities(sensor, rng):
     states = made_tables.poses_in_room(rng, 4)
     current = np.ascontiguousarray(states.T)

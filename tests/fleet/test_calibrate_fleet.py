@@ -45,6 +45,7 @@ def test_each_posterior_is_that_of_calibrate(logs, alone, tmp_path, threads):
     assert sorted(os.listdir(tmp_path / "new")) == ["robot0.nc", "robot1.nc"]
 
 
+@pytest.mark.slow
 def test_a_second_call_skips_what_is_done_and_refuses_what_has_changed(logs, alone, tmp_path, monkeypatch):
     calibrate_fleet({"robot0": logs["robot0"]}, tmp_path, pool=HerePlace(), **SHORT)
     before = (tmp_path / "robot0.nc").read_bytes()

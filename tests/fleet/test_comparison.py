@@ -63,7 +63,7 @@ def test_p_values_of_robots_that_are_alike_are_uniform(rng):
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_odd_robots_are_found_and_others_are_not_in_many_fleets(rng):
     """Of 20 fleets with three odd robots and 40 without, two parameters each."""
     where = {("robot3", "sigma_range"), ("robot8", "sigma_range"), ("robot15", "sigma_turn")}

@@ -145,7 +145,7 @@ def test_a_parameter_of_either_sign_is_compared_as_it_is():
         assert np.trapezoid(np.exp(each.log_prior(u)), u) == pytest.approx(1.0, abs=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_population_intervals_of_a_hundred_fleets_cover(rng):
     """90 % intervals of the typical robot, of the spread, and of a further robot."""
     covered = []

@@ -155,10 +155,9 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("draws", [pytest.param(1, marks=pytest.mark.slow), DRAWS])
-@pytest.mark.parametrize(
-    "effects", [pytest.param(name, marks=pytest.mark.slow) if EFFECTS[name] else name for name in EFFECTS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("draws", [1, DRAWS])
+@pytest.mark.parametrize("effects", EFFECTS)
 def test_the_filter_is_its_twin(room_log, theta, effects, draws, rng):
     """Noise alone, effects on motion and mixture, and mounts that differ, for which each draw casts its own rays."""
     model = RobotModel(
@@ -255,6 +254,7 @@ def test_impossible_and_undefined_readings_of_draws():
 # What it means
 
 
+@pytest.mark.slow
 def test_equal_draws_are_one_draw(room_log, theta):
     """Draws that differ in the tenth digit: the same filter as with their mean, by errors and scores of many runs."""
     data, log = around(theta, 1e-10), room_log.select(0, 30)

@@ -97,6 +97,7 @@ def test_where_a_log_began_is_found_from_its_end(room, seed):
     )
 
 
+@pytest.mark.slow
 def test_a_track_that_never_knows_the_place_tells_no_start(room):
     log = room.select(20, 22)
     track = pmcl.localize(log, default_model(log), method="prior", options=FilterOptions(annealed=False))

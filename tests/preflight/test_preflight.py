@@ -59,12 +59,16 @@ NOT_SHOWN = {
 
 
 def _cases():
-    """Every mistake with every robot; all but the first robot of each mistake have a schedule of their own."""
+    """Every mistake with every robot; all but the first robot of each mistake have a schedule of their own.
+
+    Of mistakes that may be made in several ways, one always runs; so do those that can be made in the first log.
+    """
     first = set()
     for robot, make in LOGS.items():
         for name in mistakes.mistakes_of(make()):
             if (robot, name) not in NOT_SHOWN:
-                yield pytest.param(robot, name, marks=[pytest.mark.long] if name in first else [])
+                some = [pytest.mark.slow] if "(" in name or robot != "field" else []
+                yield pytest.param(robot, name, marks=[pytest.mark.long] if name in first else some)
                 first.add(name)
 
 

@@ -184,6 +184,7 @@ def _with(case, theta, names, units):
     return to_arviz(chains, fake_parameters(names, units), case.logs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", THETA_PLOTS)
 @pytest.mark.parametrize("kind", ["one parameter", "seven long names", "never moved", "two draws"])
 def test_unusual_posteriors_can_be_drawn(plot, kind):

@@ -365,7 +365,7 @@ def test_localization_off_and_on_line_are_the_same(calibrated):
 # Criticism.
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_critic_finds_the_offset():
     found = pmcl.criticize(field_log(OFFSET), joint=False, workers=1)
     assert [effect.name for effect in found.effects] == ["compass-offset"]

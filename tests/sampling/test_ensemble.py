@@ -47,9 +47,8 @@ def _run_ensemble(bound, draws, burn_in, move="stretch"):
     return Ensemble(particles=60, burn_in=burn_in, move=move).run(bound, options)
 
 
-@pytest.mark.parametrize(
-    "move", [pytest.param("stretch", marks=pytest.mark.slow), pytest.param("de", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("move", ["stretch", "de"])
 def test_ensemble_and_particle_gibbs_have_the_exact_posterior(bound, exact, move):
     """Twelve walkers, four chains; against the grid and against each other."""
     ensemble = _run_ensemble(bound, 1200, 200, move)

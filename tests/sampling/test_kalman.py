@@ -57,6 +57,7 @@ def test_paths_have_the_law_of_the_exact_smoother(bound):
     assert np.abs(z.T @ z / 1500 - np.eye(T)).max() < TOLERANCE * np.sqrt(2.0 / 1500)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unscented", [False, True])
 def test_it_foresees_a_landmark_field_as_particles_do(unscented):
     """Nearly Gaussian: within a few nats of 100 rows' evidence, of which an error in any step would cost hundreds."""

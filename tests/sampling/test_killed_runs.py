@@ -291,9 +291,10 @@ def _killed_at_random(number, rounds, whole_run, tmp_path, rng, monkeypatch):
 SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGKILL] if sys.platform != "win32" else [])]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(FORKED is None, reason="processes cannot be forked there")
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=pytest.mark.slow if n is SIGNALS[-1] else pytest.mark.long) for n in SIGNALS]
+)
 def test_a_run_killed_at_some_moments_gives_the_same_file(number, whole_run, tmp_path, rng, monkeypatch):
     _killed_at_random(number, 4, whole_run, tmp_path, rng, monkeypatch)
 

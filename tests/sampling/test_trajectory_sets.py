@@ -46,6 +46,7 @@ def test_a_set_has_the_law_of_the_path_that_it_was_made_from(bound):
         draw_set(tables, given[0][:, None], 2, 33, rng)
 
 
+@pytest.mark.slow
 def test_the_mean_ratio_is_the_ratio_of_evidences(bound):
     """From exact draws at theta, forward ratios have the mean p(z | theta') / p(z | theta), whatever the set's size."""
     model = kalman.linear_model(bound.tables(THETAS[0])[0])

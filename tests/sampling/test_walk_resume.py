@@ -14,6 +14,7 @@ from pmcl.sampling import marginal_gibbs, random_walk
 OPTIONS = RunOptions(draws=10, chains=2, seed=1, trajectories=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
     [

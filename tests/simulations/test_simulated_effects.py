@@ -26,6 +26,7 @@ from pmcl.models.robot_model import default_model
 STANDARD_ERRORS = 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_true_size_of_an_effect_is_more_likely_than_none(name):
     """Summed over seeds, and by more than chance: the effect has the right sign."""

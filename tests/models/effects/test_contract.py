@@ -74,6 +74,7 @@ def test_priors_hold_the_null_and_all_typical_values(name):
             assert beyond > 1e-3
 
 
+@pytest.mark.slow
 @EVERY
 def test_the_null_changes_nothing(case):
     effect, log, tables, path = case
@@ -81,6 +82,7 @@ def test_the_null_changes_nothing(case):
     np.testing.assert_allclose(row_densities(edited, path), row_densities(tables, path), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @EVERY
 @pytest.mark.parametrize("magnitude", MAGNITUDES)
 def test_typical_magnitudes_change_the_density_and_leave_the_given_tables_alone(case, magnitude):
@@ -108,6 +110,7 @@ def test_probes_lead_from_the_null_to_a_clear_effect(name):
         assert effect.squared <= effect.one_sided(k)
 
 
+@pytest.mark.slow
 @EVERY
 def test_scores_at_the_null_are_finite_and_not_all_zero(case):
     """The slope of the log density along the probe exists: two small steps give the same slope."""
@@ -126,6 +129,7 @@ def test_scores_at_the_null_are_finite_and_not_all_zero(case):
         assert np.abs(small).max() > 0.0
 
 
+@pytest.mark.slow
 @EVERY
 def test_an_effect_composes_with_every_other_of_its_log(case):
     effect, log, tables, path = case
@@ -140,6 +144,7 @@ def test_an_effect_composes_with_every_other_of_its_log(case):
         assert np.isfinite(row_densities(large, path)).all(), other.name
 
 
+@pytest.mark.slow
 @EVERY
 def test_a_model_with_the_effect_is_an_ordinary_model(case, tmp_path):
     effect, log, tables, path = case

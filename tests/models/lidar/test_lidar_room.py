@@ -189,7 +189,7 @@ def test_calibration_needs_the_map(log, tmp_path):
     assert "give one with --map MAP.yaml" in result.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_calibration_from_the_command_line(log, tmp_path):
     log.with_map(None).write(tmp_path / "log.nc")
     log.grid_map.write(tmp_path / "room.yaml")
