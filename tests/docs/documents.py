@@ -15,6 +15,7 @@ from markdown_it import MarkdownIt
 import pmcl
 
 README = Path(__file__).resolve().parents[2] / "README.md"
+METHODS = README.parent / "analyses" / "method_comparison" / "README.md"
 
 SHORTER = (
     (
@@ -63,8 +64,8 @@ def commands() -> list[str]:
 
 
 def mentioned_commands() -> list[list[str]]:
-    """The arguments of every complete pmcl command in the README, in blocks and in the text between backticks."""
-    text = README.read_text(encoding="utf-8")
+    """The arguments of every complete pmcl command in the README and beside it, in blocks and between backticks."""
+    text = README.read_text(encoding="utf-8") + METHODS.read_text(encoding="utf-8")
     inline = [found for found in re.findall(r"`(pmcl [a-z][^`]*)`", text) if "COMMAND" not in found]
     parts = [part for line in (*commands(), *inline) for part in re.split(r"&&|>", line)]
     return [shlex.split(part)[1:] for part in parts if part.strip().startswith("pmcl ")]

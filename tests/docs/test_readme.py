@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 import pytest
-from docs.documents import README, commands, fences, mentioned_commands, shortened
+from docs.documents import METHODS, README, commands, fences, mentioned_commands, shortened
 
 from pmcl.cli.commands import pmcl as application
 from pmcl.examples import own_robot
@@ -50,8 +50,9 @@ def test_every_command_of_the_readme_has_these_options(arguments, tmp_path, monk
             command.make_context(info, list(arguments), parent=context)
 
 
-def test_links_lead_to_files():
-    text = README.read_text(encoding="utf-8")
+@pytest.mark.parametrize("document", [README, METHODS], ids=["README", "methods"])
+def test_links_lead_to_files(document):
+    text = document.read_text(encoding="utf-8")
     headings = {
         re.sub(r"[^\w\- ]", "", line.lstrip("# ").lower()).strip().replace(" ", "-")
         for line in text.splitlines()
@@ -61,7 +62,7 @@ def test_links_lead_to_files():
         if target.startswith("#"):
             assert target[1:] in headings, target
         elif not target.startswith("http"):
-            assert (README.parent / target.partition("#")[0]).exists(), target
+            assert (document.parent / target.partition("#")[0]).exists(), target
 
 
 @pytest.mark.slow
