@@ -33,8 +33,8 @@ _FIRST_PROPOSAL = 0.1
 # Gain of the adaptation of Metropolis steps in each sweep (chosen by hand).
 _GAIN = 0.05
 # A chain has not converged when the means of its halves differ by more than this many of its standard deviations; it
-# is then continued up to so many times. Both are chosen by hand.
-_DRIFT, _CONTINUED = 1.3, 3
+# is then continued, see Effort.continued. Chosen by hand.
+_DRIFT = 1.3
 
 
 class Effort(NamedTuple):
@@ -52,6 +52,8 @@ class Effort(NamedTuple):
         Particles of a sweep.
     passes : int
         Passes of the filter that scores the rows of the log afterwards.
+    continued : int
+        How often the chain is continued at most, by `draws` sweeps, where it has not converged at the end.
     """
 
     settling: int
@@ -59,6 +61,7 @@ class Effort(NamedTuple):
     draws: int
     particles: int
     passes: int = 2
+    continued: int = 3
 
 
 # The lengths are chosen by hand; a glance differs from a brief fit by some 4 nats on the logs of
@@ -138,8 +141,7 @@ def quick_fit(
         on from there: they tune its first transport moves, there is no burn-in, and only the last round of tuning is
         run.
     effort : Effort
-        Length of the chain. As long as it has not converged at the end, it is continued, up to three times, and only
-        the last part is kept.
+        Length of the chain. Where it is continued, only the last part is kept.
 
     Returns
     -------
@@ -178,10 +180,10 @@ def quick_fit(
         plans, rounds = [], effort.rounds[-1:]
         transport = _tuned(bound, transform, draws, path)
     tuning = SweepSettings("conditional", particles, metropolis, 6, 1, 0, _GAIN)
-    plans += [(n, tuning) for n in rounds] + [(effort.draws, replace(tuning, gain=0.0))] * (1 + _CONTINUED)
+    plans += [(n, tuning) for n in rounds] + [(effort.draws, replace(tuning, gain=0.0))] * (1 + effort.continued)
     kept: list[ChainState] = []
     for number, (length, settings) in enumerate(plans):
-        if number > len(plans) - 1 - _CONTINUED and not _drifts(kept):
+        if number > len(plans) - 1 - effort.continued and not _drifts(kept):
             break
         if kept:
             later = kept[len(kept) // 3 :]
