@@ -74,8 +74,8 @@ def criticize(
     level : float
         Rate of false alarms.
     simulations : int
-        Number of logs that the fitted model simulates for comparison: fewer where some of them show already that the
-        log is unusual, and up to three times as many where an alarm is in doubt.
+        Number of logs that the fitted model simulates for comparison: fewer where some of them raise an alarm already
+        that an effect explains, and up to three times as many where an alarm is in doubt.
     paths : int
         Number of trajectories over which scores are averaged.
     rounds : int
@@ -110,8 +110,8 @@ def criticize(
     (:mod:`pmcl.criticism.naming.search`): half of the prior is on nothing, and the evidence of each effect is that of
     the whole log. The most probable effect is added, and told with those that may be meant instead. The gap is that of
     the last 40 % of the rows, predicted by models whose parameters are fitted to the rows before, or that of the other
-    log. An alarm that is not beyond doubt is judged again with three times as many simulated logs, unless some effect
-    explains it beyond doubt.
+    log. An alarm that is not beyond doubt is judged again with up to three times as many simulated logs, unless some
+    effect explains it beyond doubt.
 
     If the filter of the base model loses the robot, scores mean nothing. Effects of the motion are refitted then, and
     after them effects of the sensors; the first one that lets the filter follow is added. If there is none, gross

@@ -43,7 +43,7 @@ __all__ = ["Outcome", "Search"]
 
 # So many candidates are fitted at a glance at a time, the likeliest first. It decides how long a search takes, hardly
 # what it finds: the search goes on where these do not explain the log.
-_BATCH = 8
+_BATCH = 5
 # Effects that share the answer are scored with so many times as many particles: what tells them apart may be less than
 # the noise of the usual number.
 _FINER = 4
