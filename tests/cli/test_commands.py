@@ -130,6 +130,7 @@ def test_the_exit_status_tells_both_halves_of_the_verdict(spread, adequate, stat
     assert ("readings and model disagree" in capsys.readouterr().out) == (adequate == 0)
 
 
+@pytest.mark.slow
 def test_the_model_file_and_several_logs_reach_the_sampler(run, log_file, tmp_path):
     other = tmp_path / "other.nc"
     pmcl.simulate_amigobot(20.0, seed=9).write(other)

@@ -37,7 +37,7 @@ def problems(family, sound, runner, folder, *, quick):
 
 
 # What these commands need is compiled in any case. The others compile for half a minute: part of them is slow.
-QUICK = ("maps", "models", "recordings")
+QUICK = ("models", "recordings")
 
 
 @pytest.mark.parametrize("family", [pytest.param(f, marks=[] if f in QUICK else pytest.mark.slow) for f in FAMILIES])

@@ -123,6 +123,7 @@ def test_a_lost_robot_shows_although_all_its_readings_may_be_gross_errors():
     assert gross_at(bound, theta[:5], made, make_rng(2)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.05, 0.3])
 def test_gross_errors_here_and_there_are_no_lost_robot(share):
     log = simulate_landmark_field(200, 1, bearings=True)

@@ -77,6 +77,7 @@ def test_the_critic_tells_whether_the_second_log_confirms(text, confirmed):
     assert any("gains nothing on" in note for note in result.notes) is not confirmed
 
 
+@pytest.mark.slow
 def test_a_formula_of_the_first_log_is_evaluated_along_the_path_of_the_second(base):
     log, fit = base
     other = with_estimated_path(field(2, rows=90), fit.bound.model, always=True, seed=1)

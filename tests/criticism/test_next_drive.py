@@ -56,6 +56,7 @@ def test_the_drive_is_one_in_which_the_effects_act(log):
     assert best.probabilities[0] > 0.9
 
 
+@pytest.mark.slow
 def test_a_mount_that_is_turned_and_a_bias_of_all_bearings_are_one_and_the_same(log):
     yaw, bias = explanation(log, "sensor-yaw", -0.1), explanation(log, "bearing-bias", 0.1)
     turn = explanation(log, "odometry-turn-scale", 0.15)

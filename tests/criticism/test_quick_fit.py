@@ -18,7 +18,7 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 NOISE = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.05}
 
 
-@pytest.fixture(scope="module", params=["walls", "landmarks"])
+@pytest.fixture(scope="module", params=["walls", pytest.param("landmarks", marks=pytest.mark.slow)])
 def log(request):
     if request.param == "walls":
         return simulate_amigobot(120.0, 3, NOISE)

@@ -10,6 +10,8 @@ from pmcl.engine import random_numbers
 from pmcl.engine.compile import entry
 from pmcl.engine.random_numbers import exponentials_into, normals_into
 
+pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
+
 # mypy: disable-error-code="no-untyped-def"
 
 MANY = 4_000_000

@@ -65,6 +65,7 @@ def test_a_posterior_from_elsewhere_is_not_taken_for_one_of_the_fleet(logs, alon
         calibrate_fleet(logs, tmp_path, pool=HerePlace(), **SHORT)
 
 
+@pytest.mark.slow
 def test_a_robot_goes_on_from_its_checkpoint(logs, alone, tmp_path):
     """What is left when a worker is lost in the middle of a run."""
     name = "robot0"

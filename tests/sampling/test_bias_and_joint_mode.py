@@ -29,6 +29,8 @@ from pmcl.sampling.joint_mode import joint_mode
 from pmcl.sampling.online_bias import online_bias
 from pmcl.sampling.stopwatch import Stopwatch
 
+pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
+
 PRIOR = 0.5
 OPTIONS = RunOptions(draws=10, chains=2, seed=3)
 

@@ -55,7 +55,10 @@ def bound_with(name, n_steps=60):
     return bound, theta, path
 
 
-@pytest.mark.parametrize("name", KINDS)
+# A state of four components has kernels of its own, which take long to compile.
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow if one == "range-bias-drifts" else ()) for one in KINDS]
+)
 def test_metropolis_updates_every_parameter_from_its_conditional(name, rng):
     """Statistics cover what no effect touches; the joint density moves the rest, the effect's own among them."""
     bound, theta, path = bound_with(name)

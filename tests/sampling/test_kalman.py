@@ -18,6 +18,8 @@ from pmcl.sampling.kalman import KalmanTarget, draw_path, kalman_filter
 from pmcl.simulations import simulate_landmark_field
 from pmcl.simulations.amigobot import simulate_amigobot
 
+pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
+
 T = 25
 THETAS = [(0.5, 0.4), (0.2, 0.7), (1.1, 0.05)]
 
@@ -57,7 +59,6 @@ def test_paths_have_the_law_of_the_exact_smoother(bound):
     assert np.abs(z.T @ z / 1500 - np.eye(T)).max() < TOLERANCE * np.sqrt(2.0 / 1500)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("unscented", [False, True])
 def test_it_foresees_a_landmark_field_as_particles_do(unscented):
     """Nearly Gaussian: within a few nats of 100 rows' evidence, of which an error in any step would cost hundreds."""
@@ -85,7 +86,6 @@ def test_sigma_points_see_what_slopes_do_not():
     assert abs(unscented - particles) < abs(extended - particles)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", [ExtendedKalman, UnscentedKalman])
 def test_the_posterior_of_a_linear_model_is_exact(method):
     bound = rail_model().bind(rail_log(12, seed=3))

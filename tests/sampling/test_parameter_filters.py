@@ -17,6 +17,8 @@ from pmcl.sampling import parameter_filters
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.simulations.amigobot import simulate_amigobot
 
+pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
+
 T = 12
 RUNS = RunOptions(draws=1000, chains=8, seed=2)
 FEW_RUNS = RunOptions(draws=1000, chains=4, seed=2)
@@ -41,7 +43,6 @@ def _features(chains, exact):
     return np.concatenate([z, z**2 - 1.0, z[..., :1] * z[..., 1:] - exact.correlation], axis=-1).mean(axis=1)
 
 
-@pytest.mark.slow
 def test_storvik_has_the_exact_posterior(bound, exact):
     found = _features(Storvik(particles=1500).run(bound, RUNS), exact)
     error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
@@ -51,7 +52,6 @@ def test_storvik_has_the_exact_posterior(bound, exact):
     assert np.abs(found.mean(axis=0)[:2]).max() < 0.25
 
 
-@pytest.mark.slow
 def test_statistics_that_forget_their_parents_are_noticed(bound, exact, monkeypatch):
     """Each particle's statistics must be those of its own path."""
     real = parameter_filters._row_statistics

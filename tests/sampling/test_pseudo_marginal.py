@@ -15,6 +15,8 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.sampling import pseudo_marginal
 from pmcl.sampling.pseudo_marginal import chosen_particles, draw_numbers, estimate_evidence, paths_of, redrawn_ratio
 
+pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
+
 T = 12
 # Biases of means, squares and product that matter, in posterior standard deviations.
 MATTERS = np.array([0.35, 0.35, 0.7, 0.7, 0.5])
