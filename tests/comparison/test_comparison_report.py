@@ -113,6 +113,7 @@ def test_without_truth_there_is_no_column_of_it(comparison, tmp_path):
     write_comparison(blind, tmp_path / "page.html")
 
 
+@pytest.mark.slow
 def test_real_methods_end_on_one_page(tmp_path):
     log = simulate_amigobot(20.0, seed=2)
     made = compare(log, "conditional:8,plain:8,ensemble:20", seconds=2.0, chains=2, seed=1, held_out=0.25)

@@ -115,6 +115,7 @@ def whole(rail):
     return SHORT.run(rail, OPTIONS)
 
 
+@pytest.mark.slow
 def test_a_run_with_time_enough_is_the_whole_run(rail, whole, monkeypatch):
     told: list[float] = []
     clock = Stopwatch(1e6, told.append, SimulatedTime(monkeypatch, 0.001))
@@ -126,6 +127,7 @@ def test_a_run_with_time_enough_is_the_whole_run(rail, whole, monkeypatch):
     assert np.all(np.diff(clock.cpu) >= 0.0)
 
 
+@pytest.mark.slow
 def test_a_stopped_run_is_the_beginning_of_the_whole(rail, whole, monkeypatch):
     """When burn-in takes less than its share, only the draws are cut."""
     clock = Stopwatch(60.0, clock=SimulatedTime(monkeypatch, 0.001))

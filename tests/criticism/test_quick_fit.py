@@ -25,6 +25,7 @@ def log(request):
     return simulate_landmark_field(120, 3, bearings=True, reach=12.0)
 
 
+@pytest.mark.slow
 def test_parameters_and_path_are_recovered(log):
     bound = default_model(log).bind(log)
     found = quick_fit(bound, 1)

@@ -15,7 +15,7 @@ from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
 
-@pytest.fixture(scope="module", params=["landmarks", "sonars"])
+@pytest.fixture(scope="module", params=["landmarks", pytest.param("sonars", marks=pytest.mark.slow)])
 def tables_and_path(request):
     """Tables of a log of 60 rows, some without readings, and a trajectory with a positive density."""
     log = simulate_landmark_field(60, 1) if request.param == "landmarks" else simulate_amigobot(60.0, 1)

@@ -55,6 +55,7 @@ def straight():
     return identify(straight_log(), GROWING)
 
 
+@pytest.mark.slow
 def test_a_robot_that_never_turns_is_told_to_turn(straight):
     by_name = {prediction.name: prediction for prediction in straight.predictions}
     growth = by_name["sigma_turn_per_radian"]
@@ -178,6 +179,7 @@ def test_sentences(changes, sentence):
     assert dataclasses.replace(PREDICTION, **changes).sentence == sentence
 
 
+@pytest.mark.slow
 def test_the_page_and_the_lines_name_everything(straight, tmp_path):
     page = tmp_path / "page.html"
     write_identification_report(straight, page)

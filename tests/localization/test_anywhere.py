@@ -51,6 +51,7 @@ def _rail_tracker(reading_std, anywhere=None, n=400):
     return Tracker([tables], anywhere, options), (float(exact), mean, std)
 
 
+@pytest.mark.slow
 def test_annealing_gives_belief_and_evidence_of_a_sharp_reading():
     """A reading 400 times sharper than the start: of 400 particles drawn anywhere hardly one would survive it."""
     tracker, (evidence, mean, std) = _rail_tracker(0.05)
