@@ -15,7 +15,7 @@ from pmcl.filtering.particle_filter import make_rng
 from pmcl.sampling import pseudo_marginal
 from pmcl.sampling.pseudo_marginal import chosen_particles, draw_numbers, estimate_evidence, paths_of, redrawn_ratio
 
-pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
+# All tests are slow: compiling kernels that no other test needs takes most of the time.
 
 T = 12
 # Biases of means, squares and product that matter, in posterior standard deviations.
@@ -78,6 +78,7 @@ def test_an_estimate_that_is_drawn_again_for_the_current_state_is_noticed(bound,
     assert np.abs(off).max() > TOLERANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [1, 5, 30])
 def test_the_estimate_is_unbiased_whatever_the_blocks(bound, model, blocks):
     """Also with more blocks than rows, and resampled in the order of a curve."""
@@ -92,6 +93,7 @@ def test_the_estimate_is_unbiased_whatever_the_blocks(bound, model, blocks):
     assert abs(ratio.mean() - 1.0) < TOLERANCE * error
 
 
+@pytest.mark.slow
 def test_an_estimate_is_a_function_of_its_numbers(bound):
     rng = make_rng(1)
     numbers = draw_numbers(rng, 4)
@@ -105,6 +107,7 @@ def test_an_estimate_is_a_function_of_its_numbers(bound):
     assert np.all(first.passes[0].particles[6] != other.passes[0].particles[6])
 
 
+@pytest.mark.slow
 def test_correlated_estimates_differ_less_than_independent_ones(bound):
     """By the share of the blocks that is redrawn; so fewer particles will do."""
     rng = make_rng(2)
@@ -123,11 +126,13 @@ def test_correlated_estimates_differ_less_than_independent_ones(bound):
     assert plain >= correlated
 
 
+@pytest.mark.slow
 def test_impossible_parameters_have_no_evidence(bound):
     numbers = draw_numbers(make_rng(1), 1)
     assert estimate_evidence(bound, np.array([-0.5, 0.4]), 20, numbers).log_evidence == -np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_the_hilbert_curve_visits_every_cell_once_and_goes_from_neighbour_to_neighbour(size):
     bits = 3
