@@ -11,7 +11,7 @@ import pytest
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging import judged_log
-from pmcl.criticism.naming import lost_robot, refits, search
+from pmcl.criticism.naming import formula_trials, lost_robot, refits, search
 from pmcl.criticism.naming.formula_trials import FormulaCandidates
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.naming.search import Search
@@ -189,6 +189,57 @@ def test_a_formula_competes_with_the_best_effect(monkeypatch):
     better["formula:_turn_+=_c*speed"] = 59.0
     outcome = Case(monkeypatch, evidence, {"odometry-turn-scale": 7.0}, ranked).explain()
     assert outcome.found.name == "odometry-turn-scale"
+
+
+def test_a_formula_competes_with_what_explains_a_doubted_alarm_but_is_not_tried_where_nothing_explains_it(monkeypatch):
+    log = simulate_landmark_field(60, 1, bearings=True)
+    formula = replace(effect_named("odometry-arc", log), name="formula: turn += c*speed")
+    ranked, scores = [search.RankedEffect(formula, 6.0)], {"odometry-turn-scale": 7.0}
+    for of_effect, tried in ((60.0, True), (-5.0, False)):
+        better = {"formula:_turn_+=_c*speed": 80.0, "odometry_turn_scale": of_effect}
+        evidence = lambda effect: better.get(effect.name.replace("-", "_").replace(" ", "_"), -5.0)  # noqa: E731, B023
+        case = Case(monkeypatch, evidence, scores, ranked)
+        outcome = case.explain(further=False)
+        assert (formula.name in case.names("glance")) is tried
+        assert (outcome.accepted is not None) is tried
+        assert not tried or outcome.found.name == formula.name
+
+
+def test_a_formula_that_a_log_can_tell_from_an_effect_is_no_other_word_for_it(rng):
+    """Scores with a correlation of 0.99 tell two changes apart where they promise more than some hundred nats."""
+    effect, other = rng.standard_normal((2, 4000))
+    formula = 0.99 * effect + np.sqrt(1.0 - 0.99**2) * other
+    scores, catalogue = np.array([formula, formula, other]), effect[None]
+    assert list(formula_trials._same_changes(scores, catalogue, np.array([20.0, 400.0, 20.0]))) == [True, False, False]
+    # What is exactly proportional never counts, and without a catalogue all counts.
+    assert list(formula_trials._same_changes(-3.0 * catalogue, catalogue, np.array([1e6]))) == [True]
+    assert not formula_trials._same_changes(scores, catalogue[:0], np.full(3, 20.0)).any()
+
+
+def test_a_formula_with_little_of_the_leading_effects_score_is_not_refitted(monkeypatch):
+    log = simulate_landmark_field(60, 1, bearings=True)
+    arc, *others = (effect_named(name, log) for name in ("odometry-arc", "odometry-turn-scale", "landmark-misread"))
+    names = ["formula: turn += c", "formula: turn += c*speed"]
+    offered = directions_of([replace(arc, name=name) for name in names])
+    catalogue = directions_of(others)
+    rows = np.eye(len(catalogue) + len(offered), 60)
+
+    def judged(directions, scores, values):
+        judgement = SimpleNamespace(
+            z=values, score=values, score_std=np.ones(values.size), critical_z=3.0
+        )
+        return judged_log.JudgedLog(SimpleNamespace(scores=scores), judgement, (), directions)
+
+    of_catalogue = np.array([10.0 if one.effect is others[0] else 4.0 for one in catalogue])
+    before = judged(catalogue, rows[: len(catalogue)], of_catalogue)
+    after = judged(offered, rows[len(catalogue) :], np.array([4.5, 5.5]))
+    monkeypatch.setattr(formula_trials, "formulas", lambda *_: [one.effect for one in offered])
+    monkeypatch.setattr(formula_trials, "with_directions", lambda *_: after)
+    monkeypatch.setattr(formula_trials, "remarkable_waves", lambda *_: SimpleNamespace(found=[]))
+    last = SimpleNamespace(fit=SimpleNamespace(tables=None, path=None))
+    for leading, refitted in ((others[0], names[1:]), (others[1], names[::-1]), (None, names[::-1])):
+        tried = formula_trials.remarkable_formulas(last, before, log, SETTINGS, leading)
+        assert [one.effect.name for one in tried.chosen] == refitted
 
 
 def test_a_refit_is_kept_until_another_model_is_judged(monkeypatch):

@@ -49,11 +49,14 @@ class JudgedLog(NamedTuple):
         Tests of all rows.
     simulated : tuple of ScoredLog
         Logs that the fitted model simulates.
+    directions : tuple of Direction
+        The candidates of these tests.
     """
 
     scored: ScoredLog
     judgement: Judgement
     simulated: tuple[ScoredLog, ...]
+    directions: tuple[Direction, ...]
 
 
 def judge_log(log: RobotLog, fit: Fit, directions: Sequence[Direction], settings: Settings) -> JudgedLog:
@@ -197,4 +200,5 @@ def with_directions(before: JudgedLog, directions: Sequence[Direction], settings
 def _judged(
     scored: ScoredLog, simulated: Sequence[ScoredLog], directions: Sequence[Direction], settings: Settings
 ) -> JudgedLog:
-    return JudgedLog(scored, judge(scored, simulated, directions, level=settings.level), tuple(simulated))
+    judgement = judge(scored, simulated, directions, level=settings.level)
+    return JudgedLog(scored, judgement, tuple(simulated), tuple(directions))

@@ -6,7 +6,7 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
    those that may be right.
 2. Whatever may be right after a glance is fitted longer, and what may be the answer after that is fitted thoroughly;
    where only one effect may be right, at once.
-3. Formulas compete with the effects of the catalogue.
+3. Formulas compete with the effects of the catalogue, unless an alarm is in doubt that none of these explains.
 4. The search goes on with further candidates until the effects that were tried have nearly all probability, or until
    all candidates were tried.
 5. The most probable effect is the answer, with those that may be meant instead.
@@ -216,10 +216,12 @@ class Search:
             trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
             probable = self._explanations(last, current, trials, formulas)
             chosen = twins_of(probable.may_be_right, untried(candidates, trials))
-            if chosen or not further:
+            if chosen or not (further or probable.explained):
                 continue
+            # Formulas compete whatever the alarm is worth: an effect outside the catalogue looks like one that is in
+            # it, and would be told by that name.
             if formulas is None:
-                formulas = remarkable_formulas(last, self.judged, self.log, self.settings)
+                formulas = remarkable_formulas(last, self.judged, self.log, self.settings, _leading(trials, probable))
                 chosen = formulas.chosen
             if not chosen and not probable.explained:
                 chosen = untried(worth_a_fit, trials)[:_BATCH]
@@ -283,6 +285,11 @@ class Search:
             judgement, directions = formulas.judgement, formulas.directions
         found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
         return Outcome(best, found, trials, probable, tuple(credible))
+
+
+def _leading(trials: Sequence[Trial], probable: Explanations) -> Effect | None:
+    """Return the effect with the greatest evidence, if the effects that were tried explain the log."""
+    return _effect(max(trials, key=lambda trial: trial.evidence)) if probable.explained else None
 
 
 def _effect(trial: Trial) -> Effect:
