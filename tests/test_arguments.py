@@ -160,7 +160,7 @@ SIMULATE = {
 }  # fmt: skip
 MOVE = {
     "bound": nothing, "kernel": one_of("conditional", "smoothing"), "particles": whole(2), "metropolis_steps": whole(0),
-    "transport_moves": whole(0), "sweeps": optional(whole(1)), "data_rate": whole(0), "gain": real(0.0, 1.0),
+    "transport_moves": optional(whole(0)), "sweeps": optional(whole(1)), "data_rate": whole(0), "gain": real(0.0, 1.0),
 }  # fmt: skip
 PARAMETER = {
     "name": lambda value: isinstance(value, str) and bool(value), "unit": lambda value: isinstance(value, str),

@@ -22,8 +22,6 @@ __all__ = ["ParticleGibbs"]
 
 # The conditional kernel is exact with any number of particles; the paper's is not, and needs many.
 _PARTICLES: Final = {"conditional": 25, "smoothing": 500}
-# Transport moves carry the exact posterior's path; the paper's sampler has none.
-_TRANSPORT_MOVES: Final = {"conditional": 6, "smoothing": 0}
 # Each sweep of the inclusion of data adds one such part of the longest log, which makes the paper's r.
 _INCLUSION_SWEEPS: Final = 50
 # While data is being included the path changes a lot from sweep to sweep, and theta has to follow.
@@ -54,7 +52,8 @@ class ParticleGibbs(CalibrationMethod):
         Rounds of one-dimensional updates of theta per trajectory update (the paper's m;
         analyses/effect_of_m_and_r: above 10 no gain).
     transport_moves : int, optional
-        Transport moves of theta and path together in each sweep; 6 for conditional and 0 for smoothing when left out.
+        Transport moves of theta and path together in each sweep. When left out, conditional makes 3 to 6, as tuning
+        finds best, and smoothing none: they carry the exact posterior's path, and the paper's sampler has none.
     data_rate : int, optional
         Rows of the log that each sweep of burn-in includes (the paper's r); a fiftieth of the longest log when left
         out.
@@ -103,7 +102,7 @@ class ParticleGibbs(CalibrationMethod):
         None,
         "Moves of theta and path together in each sweep, which make the chains mix; 0 leaves them out.",
         least=0,
-        otherwise=_by_kernel(_TRANSPORT_MOVES),
+        otherwise="3 to 6 for conditional, as tuning finds best, and 0 for smoothing",
     )
     data_rate: int | None = setting(
         None,
@@ -135,7 +134,7 @@ class ParticleGibbs(CalibrationMethod):
         return replace(
             self,
             particles=self.usual_particles,
-            transport_moves=moves if moves is not None else _TRANSPORT_MOVES[self.kernel],
+            transport_moves=0 if moves is None and self.kernel == "smoothing" else moves,
             data_rate=rate if rate is not None else math.ceil(max(bound.lengths) / _INCLUSION_SWEEPS),
         )
 
@@ -171,7 +170,6 @@ class ParticleGibbs(CalibrationMethod):
         from pmcl.sampling.sweep import SweepSettings
 
         assert self.particles is not None
-        assert self.transport_moves is not None
         assert self.data_rate is not None
         inclusion = SweepSettings(
             kernel="smoothing",

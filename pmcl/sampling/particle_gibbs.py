@@ -82,20 +82,22 @@ def run_particle_gibbs(
             source = np.array([lost.get(k, k) for k in range(options.chains)])
             origins = origins[source]
             dead_before = backend.get_blobs()["failed_updates"][-1][source]
-            if stages[-1].settings.transport_moves:
-                schedule = tuned_schedule(backend)
+            transported = stages[-1].settings.transport_moves != 0
+            if transported:
+                schedule = tuned_schedule(backend, schedule)
             if following.complete:  # no later stage needs what this one would be used for
                 continue
             state = restarted(state, lost)
-            if stages[-1].settings.transport_moves:
-                transports = tuned_transports(bound, backend, stage, lost)
+            if transported:
+                transports = tuned_transports(bound, backend, stage, lost, schedule)
                 if any(transport is None for transport in transports):
                     _logger.warning(
                         "the model offers no usable linearisation at the mean trajectory: no transport moves"
                     )
-    sweeps = stages[-1].settings.sweeps
+    sweeps, moves = stages[-1].settings.sweeps, stages[-1].settings.transport_moves
     outcome: dict[str, SettingValue] = {
         "sweeps_per_draw": sweeps if sweeps is not None else schedule.sweeps,
+        "transport_moves": moves if moves is not None else schedule.moves,
         "restarted_chains": restarts,
         "impossible_starts": impossible,
         "chain_origins": " ".join(map(str, origins)),

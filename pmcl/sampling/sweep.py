@@ -42,8 +42,8 @@ class SweepSettings:
         Number of particles n.
     metropolis_steps : int
         Rounds of one-dimensional updates per trajectory update (the paper's m).
-    transport_moves : int
-        Transport moves per sweep; they need a linearisation.
+    transport_moves : int, optional
+        Transport moves per sweep, which need a linearisation; as many as the transport's schedule says when None.
     sweeps : int, optional
         Sweeps per emcee step, that is per stored draw; as many as the transport's schedule says when None.
     data_rate : int
@@ -55,7 +55,7 @@ class SweepSettings:
     kernel: Kernel = "conditional"
     particles: int = 25
     metropolis_steps: int = 5
-    transport_moves: int = 6
+    transport_moves: int | None = 6
     sweeps: int | None = 1
     data_rate: int = 0
     gain: float = 0.0
@@ -65,7 +65,7 @@ class SweepSettings:
         check_choice("kernel", self.kernel, ("conditional", "smoothing"), error=SamplingError)
         check_whole("particles", self.particles, 2, error=SamplingError, advice="25 to 1000 are usual")
         for name, least in (("metropolis_steps", 0), ("transport_moves", 0), ("sweeps", 1), ("data_rate", 0)):
-            if name != "sweeps" or self.sweeps is not None:
+            if name not in ("transport_moves", "sweeps") or getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), least, error=SamplingError)
         check_number("gain", self.gain, 0.0, 1.0, error=SamplingError, advice="0 freezes the steps")
 
@@ -240,8 +240,11 @@ def _sweep(
     paths = included(bound, path, rows)
     tables = bound.tables(theta)
     info, value = _sweep_info([], np.full(bound.dimension, math.nan)), math.nan
-    moves = settings.transport_moves if transport is not None and rows == state.rows == all_rows else 0
-    share = transport.schedule.path_share if transport is not None and moves else 1.0
+    moves, share = 0, 1.0
+    if transport is not None:
+        moves = settings.transport_moves if settings.transport_moves is not None else transport.schedule.moves
+        if moves and rows == state.rows == all_rows:
+            share = transport.schedule.path_share
     if share == 1.0 or rng.random() < share:
         # New rows have no trajectory yet, so only the smoothing kernel can add them.
         kernel: Kernel = settings.kernel if rows == state.rows else "smoothing"
@@ -259,12 +262,12 @@ def _sweep(
         )
         tables = bound.tables(theta)
         info = _sweep_info(updates, accepted)
-    if transport is not None and settings.transport_moves > 0 and rows == all_rows:
+    if transport is not None and moves and rows == all_rows:
         moved = transport_moves(
-            bound, theta, tables, paths, transport, transform, settings.transport_moves, math.exp(log_scale), rng
+            bound, theta, tables, paths, transport, transform, moves, math.exp(log_scale), rng
         )
         theta, value = moved.theta, moved.log_joint
-        if settings.gain > 0.0:
+        if settings.gain > 0.0 and not math.isnan(moved.walk_acceptance_rate):
             log_scale += 4.0 * settings.gain * (moved.walk_acceptance_rate - WALK_ACCEPTANCE)
         path = np.concatenate(moved.paths)
         info = info._replace(

@@ -40,12 +40,11 @@ __all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_a
 
 Float = NDArray[np.float64]
 
-# Degrees of freedom of the independent proposal: tails heavier than a posterior's are what makes it safe.
+# Degrees of freedom of the independent proposal: tails heavier than a posterior's are what makes it safe. Its scale
+# matrix is the covariance of the draws, which are few; its own covariance is a third greater.
 _FREEDOM = 8.0
 # The two kinds of proposals.
 _WALK, _JUMP = 0, 1
-# Rows of a block of the path: short enough to be nearly Gaussian, long enough to forget its neighbours.
-_BLOCK = 24
 
 
 @dataclass(frozen=True)
@@ -82,17 +81,23 @@ class Schedule(NamedTuple):
 
     Attributes
     ----------
-    walk_every : int
-        Of so many proposals the first is a random walk, and the others are independent draws.
+    moves : int
+        Proposals of each sweep, where no other number is asked for.
+    walk_share : float
+        Probability that a proposal is a random walk; the others are independent draws.
     path_share : float
         Probability that a sweep also draws the trajectories by particles, and theta given them. Every sweep redraws
         them block by block, which suffices for most sweeps where blocks are accepted.
+    block : int
+        Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours.
     sweeps : int
         Sweeps from one stored draw to the next, where no other number is asked for.
     """
 
-    walk_every: int = 2
+    moves: int = 6
+    walk_share: float = 0.5
     path_share: float = 1.0
+    block: int = 24
     sweeps: int = 2
 
 
@@ -311,7 +316,7 @@ def transport_moves(
     factorisations = _factorisations(all_tables, geometries, transport.references)
     if factorisations is None:
         return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)
-    paths, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport.references, paths, rng)
+    paths, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport, paths, rng)
     log_joint += bound.log_prior(theta)
     proposal = transport.proposal
     u = transform.to_line(theta)
@@ -320,10 +325,11 @@ def transport_moves(
     normal = rng.standard_normal((n_moves, theta.size))
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
+    walks = rng.random(n_moves) < transport.schedule.walk_share
     proposed, accepted = [0, 0], [0, 0]
     log_here: float | None = None  # the independent proposal's density at u, once it is needed
     for move in range(n_moves):
-        kind = _JUMP if proposal.centre is not None and move % transport.schedule.walk_every else _WALK
+        kind = _WALK if proposal.centre is None or walks[move] else _JUMP
         proposed[kind] += 1
         log_forward = log_back = 0.0
         if kind == _JUMP and proposal.centre is not None and proposal.spread is not None:
@@ -368,15 +374,15 @@ def transport_moves(
 def _redrawn(
     all_tables: Sequence[Tables],
     geometries: Sequence[tuple[Any, ...]],
-    references: Sequence[Float],
+    transport: Transport,
     paths: Sequence[Float],
     rng: np.random.Generator,
 ) -> tuple[list[Float], float, float]:
     """Redraw all paths in blocks with boundaries chosen anew; return (paths, their log density, share accepted)."""
-    new, log_density, accepted = [], 0.0, []
-    for tables, geometry, reference, old in zip(all_tables, geometries, references, paths, strict=True):
+    new, log_density, accepted, block = [], 0.0, [], transport.schedule.block
+    for tables, geometry, reference, old in zip(all_tables, geometries, transport.references, paths, strict=True):
         n_steps = old.shape[0]
-        inner = np.arange(1 + rng.integers(_BLOCK), n_steps, _BLOCK)
+        inner = np.arange(1 + rng.integers(block), n_steps, block)
         starts = np.concatenate([[0], inner, [n_steps]]).astype(np.int64)
         path, noise = old.copy(), rng.standard_normal(old.shape)
         value, share = refresh_blocks(

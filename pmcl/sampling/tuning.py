@@ -24,22 +24,25 @@ _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
 
 # Independent proposals that are accepted at least this often are worth more than random walks, since they lead further:
-# between walls, where both pass at 0.27, eight of them gave 1.4 times the effective draws of four and four walks.
-_SOME_JUMPS = 0.1
-_JUMPING = Schedule(walk_every=6)
-# Where independent proposals and blocks of the path are accepted at least this often, theta and the path forget their
-# past by these two alone, and particles draw the path in one sweep of five. Measured with the default settings: 0.6 and
-# 0.9 on maps of landmarks, where this doubles the effective draws for the CPU time, and 0.3 and 0.1 between walls,
-# where it does not.
-_EASY_JUMPS, _EASY_BLOCKS = 0.4, 0.5
-_EASY = Schedule(walk_every=6, path_share=0.2, sweeps=1)
+# between walls, where both pass at 0.27, eight of them gave 1.4 times the effective draws of four and four walks. Some
+# random walks are left, because they work from anywhere.
+_SOME_JUMPS, _FEW_WALKS = 0.1, 0.1
+# Blocks of the path are as long that this share of them is accepted; shorter ones forget little, and longer ones are
+# refused. Between walls, where 0.13 of the blocks of 24 rows are accepted, blocks of 6 rows or fewer serve better.
+_ACCEPTED_BLOCKS = 0.6
+_SHORTEST_BLOCK, _LONGEST_BLOCK = 4, 24
+# Where this share of the blocks is accepted, and some independent proposals, theta and the path forget their past by
+# these two alone. Particles then draw the path in one sweep of ten: they lead where the linearised model does not, and
+# their estimates of the evidence tell whether a chain is lost.
+_SOME_BLOCKS = 0.4
+_SELDOM = 0.1
+# Where independent proposals are accepted at least this often, a sweep of few of them is worth a draw.
+_EASY_JUMPS = 0.5
 # A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their own
 # standard deviations and by this many nats: well mixed chains differ by a few nats, a lost robot by hundreds.
 _LOST_SPREADS, _LOST_NATS = 8.0, 40.0
 # Proposals in the first tuning stage, before draws tell better: 10 % of each positive parameter.
 _FIRST_PROPOSAL = 0.1
-# The independent proposal has this times the covariance of the draws: estimated from few, it is better too wide.
-_JUMP_WIDTH = 1.2
 
 
 def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, int]:
@@ -72,7 +75,7 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
         )
     log_evidence = np.where(complete, blobs["log_evidence"][backend.window], -np.inf)
     centre = _known_median(log_evidence)
-    best = int(np.nanargmax(centre))
+    best = int(np.nanargmax(np.where(np.isnan(centre), -np.finfo(float).max, centre)))
     # A chain whose few sweeps made no estimate is not called lost.
     gap = np.where(np.isnan(centre), 0.0, centre[best] - centre)
     limit = np.inf
@@ -121,7 +124,7 @@ def restarted(state: State, lost: dict[int, int]) -> State:
 
 
 def tuned_transports(
-    bound: BoundModel, backend: StageBackend, stage: Stage, lost: dict[int, int]
+    bound: BoundModel, backend: StageBackend, stage: Stage, lost: dict[int, int], schedule: Schedule
 ) -> list[Transport | None]:
     """Return a linearisation for each chain from the last steps of a finished stage.
 
@@ -138,6 +141,8 @@ def tuned_transports(
         The stage.
     lost : dict of int to int
         Lost chains, and the chains that they are restarted from.
+    schedule : Schedule
+        How often which move is made.
 
     Returns
     -------
@@ -157,9 +162,8 @@ def tuned_transports(
         overall = (u - u.mean(axis=(0, 1))).reshape(-1, d)
         jitter = 1e-8 * np.eye(d)
         root = 2.38 / math.sqrt(d) * np.linalg.cholesky(within.T @ within / within.shape[0] + jitter)
-        spread = math.sqrt(_JUMP_WIDTH) * np.linalg.cholesky(overall.T @ overall / overall.shape[0] + jitter)
+        spread = np.linalg.cholesky(overall.T @ overall / overall.shape[0] + jitter)
         proposal = Proposal(root, u.mean(axis=(0, 1)), spread)
-    schedule = tuned_schedule(backend)
     transports = []
     for k in source:
         reference = included(bound, paths[k], max(bound.lengths))
@@ -167,7 +171,7 @@ def tuned_transports(
     return transports
 
 
-def tuned_schedule(backend: StageBackend) -> Schedule:
+def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
     """Return how often which move is made, from how often they were accepted at the end of a finished stage.
 
     It follows from the stored draws alone, never from measured times, so that a run can be repeated and resumed.
@@ -176,6 +180,8 @@ def tuned_schedule(backend: StageBackend) -> Schedule:
     ----------
     backend : StageBackend
         The steps of the stage.
+    used : Schedule
+        The schedule of the stage.
 
     Returns
     -------
@@ -184,6 +190,15 @@ def tuned_schedule(backend: StageBackend) -> Schedule:
     blobs = backend.get_blobs()
     rates = (blobs[name][backend.window] for name in ("transport_jump_rate", "path_block_redraw_rate"))
     jumps, blocks = (float(rate[~np.isnan(rate)].mean()) if not np.isnan(rate).all() else 0.0 for rate in rates)
-    if jumps >= _EASY_JUMPS and blocks >= _EASY_BLOCKS:
-        return _EASY
-    return _JUMPING if jumps >= _SOME_JUMPS else Schedule()
+    schedule = Schedule()
+    if 0.0 < blocks < 1.0:
+        # Each row refuses its block with some small probability, so that the logarithm grows with the length.
+        rows = used.block * math.log(_ACCEPTED_BLOCKS) / math.log(blocks)
+        schedule = schedule._replace(block=int(np.clip(round(rows), _SHORTEST_BLOCK, _LONGEST_BLOCK)))
+    if jumps >= _SOME_JUMPS:
+        schedule = schedule._replace(walk_share=_FEW_WALKS)
+        if blocks >= _SOME_BLOCKS:
+            schedule = schedule._replace(moves=4, path_share=_SELDOM)
+        if jumps >= _EASY_JUMPS:
+            schedule = schedule._replace(moves=3, sweeps=1)
+    return schedule

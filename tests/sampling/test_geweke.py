@@ -27,7 +27,7 @@ from pmcl.sampling.transport import Proposal, linearised_at
 T, BEAMS = 5, 2
 # Readings so noisy that new ones let the path go where it likes within a few sweeps.
 THETA = np.array([0.05, 0.03, 0.06, 0.3])
-SETTINGS = SweepSettings("conditional", 8, 2, 3)
+SETTINGS = SweepSettings("conditional", 8, 2, 4)
 # Independent proposals centred beside the prior: their density must be corrected for.
 PROPOSAL = Proposal(0.35 * np.eye(4), np.log(THETA) - 0.5, 0.4 * np.eye(4))
 # In units of each quantity's own standard deviation.

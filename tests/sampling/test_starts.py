@@ -208,12 +208,23 @@ def test_sweeps_without_an_estimate_say_nothing_about_lost_chains(rng, caplog):
     assert "chain 1 is lost: its log evidence lies" in caplog.text
 
 
+def test_without_any_estimate_only_a_chain_that_could_not_include_all_rows_is_lost():
+    evidence = np.full((20, 3), np.nan)
+    assert lost_chains(_Finished(_stage_blobs(evidence, T)), _tuning_stage(), T) == {}
+    lost = lost_chains(_Finished(_stage_blobs(evidence, [T - 3, T, T])), _tuning_stage(), T)
+    assert list(lost) == [0]
+    assert lost[0] in (1, 2)
+
+
 @pytest.mark.parametrize(
     ("jumps", "blocks", "schedule"),
     [
-        (0.6, 0.9, Schedule(walk_every=6, path_share=0.2, sweeps=1)),
-        (0.3, 0.9, Schedule(walk_every=6)),
-        (0.6, 0.1, Schedule(walk_every=6)),
+        (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, sweeps=1)),
+        (0.3, 0.9, Schedule(moves=4, walk_share=0.1, path_share=0.1)),
+        (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5, sweeps=1)),
+        (0.3, 0.13, Schedule(walk_share=0.1, block=6)),
+        (0.3, 1e-6, Schedule(walk_share=0.1, block=4)),
+        (0.3, 1.0, Schedule(moves=4, walk_share=0.1, path_share=0.1)),
         (0.05, 0.9, Schedule()),
         (np.nan, np.nan, Schedule()),
     ],
@@ -223,7 +234,14 @@ def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, sched
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, blocks
     rates["transport_jump_rate"][15] = np.nan
-    assert tuned_schedule(_Finished(rates)) == schedule
+    assert tuned_schedule(_Finished(rates), Schedule()) == schedule
+
+
+def test_blocks_stay_as_long_as_they_are_where_as_many_as_should_be_are_accepted():
+    rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
+    rates["path_block_redraw_rate"] = 0.6
+    for block in (4, 9, 24):
+        assert tuned_schedule(_Finished(rates), Schedule(block=block)).block == block
 
 
 def test_a_chain_that_could_not_include_all_rows_is_lost(rng):
