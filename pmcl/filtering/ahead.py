@@ -63,9 +63,9 @@ def _sampling(tables: Tables) -> list[Call]:
     if all(linear is not None for linear in linear_readings):
         starts, logs = np.empty(1, dtype=np.int64), np.empty(1)
         calls += [
-            (linear.factorise, (tables, linear_readings, path)),
+            (linear.standardised, (tables, linear_readings, path, path)),
             (linear.refresh_blocks, (tables, linear_readings, path, path, starts, path, logs)),
-            (linear.transport_trial, (tables, linear_readings, path, path, path, path, path)),
+            (linear.transport_trial, (tables, linear_readings, path, path)),
         ]
     return calls
 

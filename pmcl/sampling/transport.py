@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from pmcl.filtering.kernels.linear import factorise, refresh_blocks, transport_trial
+from pmcl.filtering.kernels.linear import refresh_blocks, standardised, transport_trial
 from pmcl.filtering.not_a_number import check_density
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
@@ -130,25 +130,6 @@ class TransportResult(NamedTuple):
     redraw_rate: float
 
 
-class _Factorisation(NamedTuple):
-    """The Gaussian path of one log's linearised model, as :func:`pmcl.filtering.kernels.linear.factorise` returns it.
-
-    Attributes
-    ----------
-    log_determinant : float
-        Sum of the logs of the factors' diagonals; minus infinity when there is no factorisation.
-    factor, gain : ndarray, shape (T, D * D)
-        Flat matrices of each row: the Cholesky factor, and how the row depends on the next one.
-    centre : ndarray, shape (T, D)
-        Mean deviation of each row from the reference, given that the next row has none.
-    """
-
-    log_determinant: float
-    factor: Float
-    gain: Float
-    centre: Float
-
-
 class _Trial(NamedTuple):
     """One log at a proposed theta, see :func:`pmcl.filtering.kernels.linear.transport_trial`.
 
@@ -156,14 +137,14 @@ class _Trial(NamedTuple):
     ----------
     log_joint : float
         log p(carried path, readings | proposed theta).
-    factorisation : _Factorisation
-        That of the linearised model at the proposed theta.
+    log_determinant : float
+        Sum of the logs of the diagonals of the linearised path's factors at the proposed theta.
     path : ndarray, shape (T, D)
         The path carried along.
     """
 
     log_joint: float
-    factorisation: _Factorisation
+    log_determinant: float
     path: Float
 
 
@@ -248,29 +229,22 @@ def linearised_at(
         tuple(tables.sensors for tables in all_tables),
         schedule,
     )
-    factorisations = _factorisations(all_tables, transport.geometries, transport.references)
-    return None if factorisations is None else transport
+    usable = _standardised(all_tables, transport.geometries, transport.references, references) is not None
+    return transport if usable else None
 
 
-def _factorisations(
-    all_tables: Sequence[Tables], geometries: Sequence[tuple[Any, ...]], references: Sequence[Float]
-) -> list[_Factorisation] | None:
-    """Return the factorisation of each log's linearised path; None when one of them has none."""
-    factorisations = [
-        _Factorisation(*factorise(tables, geometry, reference))
-        for tables, geometry, reference in zip(all_tables, geometries, references, strict=True)
+def _standardised(
+    all_tables: Sequence[Tables],
+    geometries: Sequence[tuple[Any, ...]],
+    references: Sequence[Float],
+    paths: Sequence[Float],
+) -> tuple[float, list[Float]] | None:
+    """Return the log determinant of all logs, and each path's z; None when a linearised path has no factorisation."""
+    of_logs = [
+        standardised(*of_log) for of_log in zip(all_tables, geometries, references, paths, strict=True)
     ]
-    return factorisations if all(math.isfinite(each.log_determinant) for each in factorisations) else None
-
-
-def _trial(
-    tables: Tables, geometry: tuple[Any, ...], reference: Float, path: Float, current: _Factorisation
-) -> _Trial:
-    """Carry one log's path to a proposed theta, of which `tables` and `geometry` are."""
-    log_joint, log_determinant, factor, gain, centre, carried = transport_trial(
-        tables, geometry, reference, path, current.factor, current.gain, current.centre
-    )
-    return _Trial(log_joint, _Factorisation(log_determinant, factor, gain, centre), carried)
+    log_determinant = math.fsum(of_log[0] for of_log in of_logs)
+    return (log_determinant, [of_log[1] for of_log in of_logs]) if math.isfinite(log_determinant) else None
 
 
 def transport_moves(
@@ -313,15 +287,16 @@ def transport_moves(
         Cost: O(T D^3) for each proposal.
     """
     geometries = transport.geometries_at(all_tables)
-    factorisations = _factorisations(all_tables, geometries, transport.references)
-    if factorisations is None:
+    redrawn, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport, paths, rng)
+    start = _standardised(all_tables, geometries, transport.references, redrawn)
+    if start is None:
         return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)
-    paths, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport, paths, rng)
+    paths, (log_determinant, z) = redrawn, start  # moves do not change z
     log_joint += bound.log_prior(theta)
     proposal = transport.proposal
     u = transform.to_line(theta)
     _, log_jacobian = transform.from_line(u)
-    current = log_joint + log_jacobian - math.fsum(each.log_determinant for each in factorisations)
+    current = log_joint + log_jacobian - log_determinant
     normal = rng.standard_normal((n_moves, theta.size))
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
@@ -344,27 +319,19 @@ def transport_moves(
             continue
         tables_new = bound.tables(theta_new)
         trials = [
-            _trial(*of_log)
-            for of_log in zip(
-                tables_new,
-                transport.geometries_at(tables_new),
-                transport.references,
-                paths,
-                factorisations,
-                strict=True,
-            )
+            _Trial(*transport_trial(*of_log))
+            for of_log in zip(tables_new, transport.geometries_at(tables_new), transport.references, z, strict=True)
         ]
         joint_new = math.fsum(trial.log_joint for trial in trials)
         joint_new = prior + check_density(joint_new, bound, theta_new, [trial.path for trial in trials])
         if not joint_new > -math.inf:  # impossible there, or the linearised path has no factorisation
             continue
-        value = joint_new + log_jacobian - math.fsum(trial.factorisation.log_determinant for trial in trials)
+        value = joint_new + log_jacobian - math.fsum(trial.log_determinant for trial in trials)
         if log_uniform[move] < value - current + log_back - log_forward:
             accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
             log_here = log_forward if kind == _JUMP else None
             paths = [trial.path for trial in trials]
-            factorisations = [trial.factorisation for trial in trials]
     walk_rate, jump_rate = (
         accepted[kind] / proposed[kind] if proposed[kind] else math.nan for kind in (_WALK, _JUMP)
     )

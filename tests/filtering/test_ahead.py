@@ -154,7 +154,7 @@ def test_a_calibration_compiles_what_was_foreseen_and_little_else(short_log, mon
     calibrate(short_log, draws=4, chains=1, method=ParticleGibbs(burn_in_particles=50), seed=1)
     sampling = [(function, kinds) for function, kinds in _signatures(foreseen) if "pass" not in function.__name__]
     used = [function.__name__ for function, kinds in sampling if kinds in function.overloads]
-    assert sorted(used) == ["factorise", "joint_terms", "redraw_path", "refresh_blocks", "transport_trial"]
+    assert sorted(used) == ["joint_terms", "redraw_path", "refresh_blocks", "standardised", "transport_trial"]
 
 
 def test_what_is_compiled_ahead_stays_within_its_budget(short_log, monkeypatch):

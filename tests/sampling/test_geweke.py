@@ -110,8 +110,8 @@ def test_sweeps_keep_the_joint_law_of_parameters_path_and_readings(bound, direct
 @pytest.mark.slow
 def test_transport_without_its_jacobian_is_noticed(bound, direct, seeds, monkeypatch):
     """Leaving out |L(theta')| / |L(theta)|, as if carrying a path along did not stretch it."""
-    real_factorise, real_trial = transport_module.factorise, transport_module.transport_trial
-    monkeypatch.setattr(transport_module, "factorise", lambda *given: (0.0, *real_factorise(*given)[1:]))
+    real_start, real_trial = transport_module.standardised, transport_module.transport_trial
+    monkeypatch.setattr(transport_module, "standardised", lambda *given: (0.0, *real_start(*given)[1:]))
 
     def trial(*given):
         joint, _, *rest = real_trial(*given)

@@ -14,7 +14,7 @@ from oracles.random_walk_model import rail_log, rail_model
 from pmcl.engine.compile import entry
 from pmcl.engine.contract import state_size
 from pmcl.filtering.kernels import factorisation, linear
-from pmcl.filtering.kernels.linear import Factors, factorise, refresh_blocks, transport_trial
+from pmcl.filtering.kernels.linear import Factors, factorise, refresh_blocks, standardised, transport_trial
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
@@ -29,9 +29,9 @@ def _linearised(bound, theta, reference):
 @entry
 def carry(motion, path, reference, factor, gain, centre, new_factor, new_gain, new_centre):
     """The path (T, D) that has the same z under the new factorisation as `path` has under the old one."""
-    out, size = np.empty_like(path), path.shape[1]
-    old, new = Factors(factor, gain, centre), Factors(new_factor, new_gain, new_centre)
-    linear.carry(motion, path, reference, old, new, out, np.empty(size), size)
+    out, z, size = np.empty_like(path), np.empty_like(path), path.shape[1]
+    linear.standardise(motion, path, reference, Factors(factor, gain, centre), z, size)
+    linear.realise(motion, z, reference, Factors(new_factor, new_gain, new_centre), out, np.empty(size), size)
     return out
 
 
@@ -167,26 +167,35 @@ def test_one_call_does_what_its_parts_do(amigobot, rng):
     now, then = _factors(bound, THETA, transport), _factors(bound, new, transport)
     path = reference + 0.03 * rng.standard_normal(reference.shape)
     motion = bound.tables(new)[0].motion
-    trial = transport_trial(bound.tables(new)[0], transport.geometries[0], reference, path, *now[1:])
+    log_determinant, z = standardised(bound.tables(THETA)[0], transport.geometries[0], reference, path)
+    assert log_determinant == pytest.approx(now[0], rel=1e-12)
+    log_joint_there, log_determinant, carried = transport_trial(
+        bound.tables(new)[0], transport.geometries[0], reference, z
+    )
     moved = carry(motion, path, reference, *now[1:], *then[1:])
-    np.testing.assert_allclose(trial[5], moved, rtol=1e-12)
-    assert trial[0] == pytest.approx(log_joint(bound.tables(new)[0], moved), rel=1e-12)
-    assert trial[1] == pytest.approx(then[0], rel=1e-12)
-    lower = np.tril(np.ones((3, 3))).ravel() > 0.0  # the rest of a factor is undefined
-    np.testing.assert_allclose(trial[2][:, lower], then[1][:, lower], rtol=1e-10, atol=1e-12)
-    for got, wanted in zip(trial[3:5], then[2:], strict=True):
-        np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(carried, moved, rtol=1e-12)
+    assert log_joint_there == pytest.approx(log_joint(bound.tables(new)[0], moved), rel=1e-12)
+    assert log_determinant == pytest.approx(then[0], rel=1e-12)
+
+
+def test_the_standardised_deviations_of_exact_draws_are_standard_normal(rail, rng):
+    bound, transport = rail
+    theta = np.array([0.5, 0.4])
+    tables = bound.tables(theta)[0]
+    mean, covariance = kalman.path_posterior(kalman.linear_model(tables), *theta)
+    paths = rng.multivariate_normal(mean, covariance, 2000)[:, :, None]
+    z = np.array([standardised(tables, transport.geometries[0], transport.references[0], path)[1] for path in paths])
+    np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=5.0 / np.sqrt(2000))
+    np.testing.assert_allclose(np.cov(z[:, :, 0].T), np.eye(30), atol=5.0 / np.sqrt(2000))
 
 
 @pytest.mark.parametrize("distance", [1e10, 1e43, 1e200])
 def test_a_path_that_is_carried_too_far_is_impossible(amigobot, distance):
     """Far out the kernels' sine is no number: such a density would end the run."""
     bound, reference, transport = amigobot
-    tables, now = bound.tables(THETA)[0], _factors(bound, THETA, transport)
-    far = reference + distance
-    assert transport_trial(tables, transport.geometries[0], reference, far, *now[1:])[0] == -np.inf
-    near = transport_trial(tables, transport.geometries[0], reference, reference, *now[1:])
-    assert np.isfinite(near[0])
+    given = (bound.tables(THETA)[0], transport.geometries[0], reference)
+    assert transport_trial(*given, standardised(*given, reference + distance)[1])[0] == -np.inf
+    assert np.isfinite(transport_trial(*given, standardised(*given, reference)[1])[0])
 
 
 @pytest.mark.parametrize("which", ["rail", "amigobot"])

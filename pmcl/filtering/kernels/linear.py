@@ -14,7 +14,7 @@ from pmcl.filtering.kernels.densities import joint_logpdf
 from pmcl.filtering.kernels.factorisation import Factors, eliminate, factorise
 from pmcl.filtering.kernels.forward import work_rows
 
-__all__ = ["Factors", "carry", "factorise", "refresh_blocks", "transport_trial"]
+__all__ = ["Factors", "factorise", "realise", "refresh_blocks", "standardise", "standardised", "transport_trial"]
 
 # A path that a nearly singular factorisation carries further than this [m or rad] is impossible: the Earth is 4e7 m
 # around. Beyond 1e15 rad the kernels' sine is no number, and with it the path's density.
@@ -66,60 +66,84 @@ def _realise(motion, t, inner, out, reference, factors, z, size):
 
 
 @kernel
-def carry(motion, path, reference, factors, new_factors, out, z, size):
-    """Write the path that has the same z under the new factors as `path` has under the old ones into `out` (T, D).
-
-    `z` (D,) is work space, and `size` is D.
-    """
+def standardise(motion, path, reference, factors, z, size):
+    """Write the standardised deviations of a path (T, D) into `z` (T, D); `size` is D."""
     n_steps = path.shape[0]
+    for t in range(n_steps):
+        _standardise(motion, t, t < n_steps - 1, path, reference, factors, z[t], size)
+
+
+@kernel
+def realise(motion, z, reference, factors, out, work, size):
+    """Write the path that has the standardised deviations `z` (T, D) into `out`; `work` (D,) is work space."""
+    n_steps = z.shape[0]
     for t in range(n_steps - 1, -1, -1):
-        inner = t < n_steps - 1
-        _standardise(motion, t, inner, path, reference, factors, z, size)
-        _realise(motion, t, inner, out, reference, new_factors, z, size)
+        for i in range(size):
+            work[i] = z[t, i]
+        _realise(motion, t, t < n_steps - 1, out, reference, factors, work, size)
 
 
 @entry
-def transport_trial(tables, linear_readings, reference, path, factor, gain, centre):
+def standardised(tables, linear_readings, reference, path):
+    """Return the standardised deviations of a path under the linearised model of some theta.
+
+    Parameters
+    ----------
+    tables, linear_readings, reference
+        As for :func:`factorise`.
+    path : ndarray, shape (T, D)
+        The path.
+
+    Returns
+    -------
+    log_determinant : float
+        As from :func:`factorise`.
+    z : ndarray, shape (T, D)
+        The standardised deviations; undefined where there is no factorisation.
+    """
+    log_determinant, factor, gain, centre = factorise(tables, linear_readings, reference)
+    z = np.empty_like(path)
+    if log_determinant > -np.inf:
+        factors = Factors(factor, gain, centre)
+        standardise(tables.motion, path, reference, factors, z, state_size(tables.motion))
+    return log_determinant, z
+
+
+@entry
+def transport_trial(tables, linear_readings, reference, z):
     """Carry a path to another theta and evaluate it there: one call does all the compiled work of a transport move.
 
     Parameters
     ----------
     tables, linear_readings, reference
         As for :func:`factorise`, at the proposed theta.
-    path : ndarray, shape (T, D)
-        The current path.
-    factor, gain, centre : ndarray
-        The factorisation at the current theta.
+    z : ndarray, shape (T, D)
+        The standardised deviations of the path, which stay as they are.
 
     Returns
     -------
     log_joint : float
         log p(carried path, readings | proposed theta); -inf where the proposal has no factorisation.
-    log_determinant, new_factor, new_gain, new_centre
+    log_determinant : float
         As from :func:`factorise`.
     carried : ndarray, shape (T, D)
-        The path with its z fixed.
+        The path that has these z under the proposed theta.
     """
     n_steps, size = reference.shape[0], state_size(tables.motion)
-    new_factor, new_gain = np.empty((n_steps, size * size)), np.zeros((n_steps, size * size))
-    new_centre, carried = np.empty((n_steps, size)), np.empty_like(path)
-    work, columns = np.empty(4 * size * size + 4 * size), np.empty((size, n_steps))
-    new_factors = Factors(new_factor, new_gain, new_centre)
-    log_determinant = eliminate(
-        tables, linear_readings, reference, path, np.int64(0), n_steps, new_factors, work, size
-    )
+    log_determinant, factor, gain, centre = factorise(tables, linear_readings, reference)
+    carried = np.empty_like(z)
     if log_determinant == -np.inf:
-        return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
-    old_factors = Factors(factor, gain, centre)
-    carry(tables.motion, path, reference, old_factors, new_factors, carried, work[:size], size)
+        return -np.inf, log_determinant, carried
+    work, columns = np.empty(size), np.empty((size, n_steps))
+    realise(tables.motion, z, reference, Factors(factor, gain, centre), carried, work, size)
     for t in range(n_steps):
         for d in range(size):
             # Negated, so that a carried state that is not a number counts as too far, too.
             if not abs(carried[t, d]) < _FARTHEST:
-                return -np.inf, log_determinant, new_factor, new_gain, new_centre, carried
+                return -np.inf, log_determinant, carried
             columns[d, t] = carried[t, d]
     log_joint = joint_logpdf(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
-    return log_joint, log_determinant, new_factor, new_gain, new_centre, carried
+    return log_joint, log_determinant, carried
 
 
 @kernel
