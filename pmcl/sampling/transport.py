@@ -12,7 +12,7 @@ theta would be. So there are two kinds of proposals: random walks, which work fr
 from a multivariate t fitted during burn-in, which are mostly accepted more often than not and forget the past at once.
 How many there are of each, and how often particles draw the path besides, is the :class:`Schedule`.
 
-Before them the path is redrawn block by block from the linearised model, each block accepted or refused by itself.
+Before them the path may be redrawn block by block from the linearised model, each block accepted or refused by itself.
 Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
 linearised model knows where it may go.
 """
@@ -31,6 +31,7 @@ from scipy.linalg import solve_triangular
 
 from pmcl.filtering.kernels.linear import refresh_blocks, standardised, transport_trial
 from pmcl.filtering.not_a_number import check_density
+from pmcl.filtering.particle_filter import log_joint as log_density
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
@@ -86,8 +87,10 @@ class Schedule(NamedTuple):
     walk_share : float
         Probability that a proposal is a random walk; the others are independent draws.
     path_share : float
-        Probability that a sweep also draws the trajectories by particles, and theta given them. Every sweep redraws
-        them block by block, which suffices for most sweeps where blocks are accepted.
+        Probability that a sweep also draws the trajectories by particles, and theta given them. Redrawing them block
+        by block suffices for most sweeps where blocks are accepted.
+    redraw_share : float
+        Probability that a sweep redraws the trajectories block by block.
     block : int
         Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours.
     sweeps : int
@@ -97,6 +100,7 @@ class Schedule(NamedTuple):
     moves: int = 6
     walk_share: float = 0.5
     path_share: float = 1.0
+    redraw_share: float = 1.0
     block: int = 24
     sweeps: int = 2
 
@@ -119,7 +123,7 @@ class TransportResult(NamedTuple):
     walk_acceptance_rate, jump_rate : float
         Shares of accepted random walks and of accepted independent proposals; NaN when none was made.
     redraw_rate : float
-        Share of the paths' rows that the block move redrew.
+        Share of the paths' rows that the block move redrew; NaN when it was not made.
     """
 
     theta: Float
@@ -258,7 +262,7 @@ def transport_moves(
     scale: float,
     rng: np.random.Generator,
 ) -> TransportResult:
-    """Redraw the path block by block, then make transport moves: random walks and independent proposals.
+    """Redraw the path block by block if its turn has come, then make transport moves: random walks and jumps.
 
     Parameters
     ----------
@@ -286,8 +290,12 @@ def transport_moves(
     TransportResult
         Cost: O(T D^3) for each proposal.
     """
-    geometries = transport.geometries_at(all_tables)
-    redrawn, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport, paths, rng)
+    geometries, share = transport.geometries_at(all_tables), transport.schedule.redraw_share
+    if share == 1.0 or rng.random() < share:
+        redrawn, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport, paths, rng)
+    else:
+        redrawn, redraw_rate = list(paths), math.nan
+        log_joint = math.fsum(log_density(tables, path) for tables, path in zip(all_tables, paths, strict=True))
     start = _standardised(all_tables, geometries, transport.references, redrawn)
     if start is None:
         return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)

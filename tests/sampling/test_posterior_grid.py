@@ -104,7 +104,7 @@ def test_conditional_sweeps_have_the_exact_posterior(bound, exact, seeds, transp
 
 @pytest.mark.slow
 def test_sweeps_that_seldom_use_particles_have_it_too(bound, exact, seeds):
-    schedule = Schedule(walk_share=0.2, path_share=0.2, block=7)
+    schedule = Schedule(walk_share=0.2, path_share=0.2, redraw_share=0.6, block=7)
     settings = SweepSettings("conditional", 20, 3, 5)
     off, sharpness = _off(bound, exact, settings, seeds, 2200, transported=True, schedule=schedule)
     assert sharpness.min() >= SHARPNESS, sharpness.round(1)
