@@ -17,7 +17,7 @@ from pmcl.filtering.kernels import factorisation, linear
 from pmcl.filtering.kernels.linear import Factors, factorise, refresh_blocks, standardised, transport_trial
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
+from pmcl.sampling.transport import Proposal, Schedule, linearised_at, transport_moves
 
 
 def _linearised(bound, theta, reference):
@@ -198,8 +198,9 @@ def test_a_path_that_is_carried_too_far_is_impossible(amigobot, distance):
     assert np.isfinite(transport_trial(*given, standardised(*given, reference)[1])[0])
 
 
+@pytest.mark.parametrize("redrawn", [True, False])
 @pytest.mark.parametrize("which", ["rail", "amigobot"])
-def test_what_moves_return_belongs_together(which, rail, amigobot, rng):
+def test_what_moves_return_belongs_together(which, redrawn, rail, amigobot, rng):
     """After many moves the returned joint density is that of the returned parameters and path."""
     bound, transport = rail if which == "rail" else amigobot[::2]
     theta, paths = bound.prior_mean(), [transport.references[0].copy()]
@@ -207,14 +208,26 @@ def test_what_moves_return_belongs_together(which, rail, amigobot, rng):
     transform = Unconstrained(bound.parameters)
     sfc = make_rng(int(rng.integers(2**62)))
     proposal = Proposal(0.3 * np.eye(theta.size), transform.to_line(theta), 0.4 * np.eye(theta.size))
-    transport = replace(transport, proposal=proposal)
+    transport = replace(transport, proposal=proposal, schedule=Schedule(redraw_share=float(redrawn)))
     made = transport_moves(bound, theta, tables, paths, transport, transform, 200, 1.0, sfc)
     assert 0.02 < made.walk_acceptance_rate < 1.0
     assert 0.02 < made.jump_rate < 1.0
-    assert made.redraw_rate > 0.1
+    assert made.redraw_rate > 0.1 if redrawn else np.isnan(made.redraw_rate)
     exact = bound.log_prior(made.theta) + log_joint(bound.tables(made.theta)[0], made.paths[0])
     assert made.log_joint == pytest.approx(exact, rel=1e-10)
     np.testing.assert_array_equal(paths[0], transport.references[0])
+
+
+def test_walks_and_jumps_are_made_as_often_as_the_schedule_says(rail, rng):
+    bound, transport = rail
+    theta, path = bound.prior_mean(), transport.references[0]
+    transform, sfc = Unconstrained(bound.parameters), make_rng(int(rng.integers(2**62)))
+    proposal = Proposal(0.3 * np.eye(theta.size), transform.to_line(theta), 0.4 * np.eye(theta.size))
+    for share, walks, jumps in ((1.0, True, False), (0.0, False, True), (0.5, True, True)):
+        scheduled = replace(transport, proposal=proposal, schedule=Schedule(walk_share=share))
+        made = transport_moves(bound, theta, bound.tables(theta), [path], scheduled, transform, 30, 1.0, sfc)
+        assert np.isfinite(made.walk_acceptance_rate) == walks
+        assert np.isfinite(made.jump_rate) == jumps
 
 
 def test_proposals_outside_the_prior_are_refused(amigobot, rng):
