@@ -28,7 +28,7 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import PREFIX
 
 __all__ = [
-    "CREDIBLE", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
+    "CREDIBLE", "LEAST_LISTED", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
     "log_prior_odds", "nothing_without_refits", "suspects", "with_probabilities",
 ]  # fmt: skip
 
@@ -40,8 +40,8 @@ log can show, by formulas, and by what no catalogue has; each family shares its 
 CREDIBLE = 0.9
 """Explanations that have this probability together are the answer: one name, or the few that may be meant. What can
 have the rest of it is worth a longer fit."""
-# Explanations below this probability are not listed.
-_LEAST_LISTED = 0.01
+LEAST_LISTED = 0.01
+"""Explanations below this probability are not listed."""
 # What the length of a fit adds to the noise of an evidence: a standard deviation [nat], and a share of the evidence,
 # because a short chain leaves in the path what the path can absorb. Differences between a glance and a thorough fit of
 # 50 effects on twelve logs of analyses/hidden_effects (block 95): -6 nats on average, with a standard deviation of 9;
@@ -113,7 +113,7 @@ class Explanations(NamedTuple):
             if instance_key(other) != instance_key(effect)
         ]
         others += [Alternative(_UNKNOWN, {}, self.unknown), Alternative("nothing", {}, self.nothing)]
-        listed = [one for one in others if one.probability >= _LEAST_LISTED]
+        listed = [one for one in others if one.probability >= LEAST_LISTED]
         return tuple(sorted(listed, key=lambda one: -one.probability))
 
 

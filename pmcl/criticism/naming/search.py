@@ -28,10 +28,10 @@ from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_simulations
-from pmcl.criticism.naming.candidates import RankedEffect, by_score, twins_of, untried
+from pmcl.criticism.naming.candidates import RankedEffect, are_near_twins, by_score, twins_of, untried
 from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
 from pmcl.criticism.naming.lost_robot import Recovery, recover
-from pmcl.criticism.naming.probability import Explanations, explanations, suspects, with_probabilities
+from pmcl.criticism.naming.probability import LEAST_LISTED, Explanations, explanations, suspects, with_probabilities
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
 from pmcl.criticism.settings import Settings
@@ -264,8 +264,9 @@ class Search:
         return _replaced(trials, some, self.refits.longer(current, some, THOROUGH))
 
     def _finer(self, current: Trial, trials: list[Trial], probable: Explanations) -> list[Trial]:
-        """Score those effects with more particles that share the answer."""
-        keys = {instance_key(effect) for effect in probable.credible}
+        """Score those effects with more particles that share the answer, or are near twins of one that has part."""
+        listed = [effect for effect in probable.effects if probable.of(effect) >= LEAST_LISTED]
+        keys = {instance_key(effect) for effect in (*probable.credible, *_near_twins_of(probable.credible, listed))}
         sharing = [trial for trial in trials if instance_key(_effect(trial)) in keys and not trial.nested]
         if len(sharing) < 2 or not probable.likely:
             return trials
@@ -285,6 +286,11 @@ class Search:
             judgement, directions = formulas.judgement, formulas.directions
         found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
         return Outcome(best, found, trials, probable, tuple(credible))
+
+
+def _near_twins_of(effects: Sequence[Effect], others: Sequence[Effect]) -> list[Effect]:
+    """Return those of `others` of which the catalogue says that they look like one of some effects."""
+    return [other for other in others if any(are_near_twins(other, effect) for effect in effects)]
 
 
 def _leading(trials: Sequence[Trial], probable: Explanations) -> Effect | None:

@@ -102,19 +102,31 @@ def _linear_readings(table: Any, reference: Float) -> LinearReadings:
     return pack_readings(reference.shape[0], time, beam, kind, z[at], value[at], jacobian[at], weight[at])
 
 
-def _same_place(table: RangeBeams, made_from: RangeBeams) -> bool:
-    if not same_fields(table, made_from, ("beam_pose", "vertices")):
-        return False
-    return not isinstance(table.extras, RangeExtras) or same_fields(table.extras, made_from.extras, ("width",))
-
-
 def moved_linearisation(table: RangeBeams, made_from: RangeBeams, linearisation: Any, reference: Float) -> Any:
     """Return a linearisation for moved beams or walls; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
-    if _same_place(table, made_from):
+    time, beam = times_of(linearisation), linearisation.channel
+    if not _same_walls(table, made_from):
+        lengths = beam_lengths(table, reference)[time, beam]
+        # A beam that meets nothing from its new place keeps the value that it had.
+        return linearisation._replace(value=np.where(np.isfinite(lengths), lengths, linearisation.value))
+    if same_fields(table, made_from, ("beam_pose",)):
         return linearisation
-    lengths = beam_lengths(table, reference)[times_of(linearisation), linearisation.channel]
-    # A beam that meets nothing from its new place keeps the value that it had.
-    return linearisation._replace(value=np.where(np.isfinite(lengths), lengths, linearisation.value))
+    # Along the slopes, as where a path moves: a beam that is turned one way on a robot that is turned the other way
+    # reads what it has read, and no beam meets another wall.
+    slopes, (ahead, left, _) = linearisation.jacobian, made_from.beam_pose[beam].T
+    x, y, yaw = (table.beam_pose[beam] - made_from.beam_pose[beam]).T
+    c, s = np.cos(reference[time, 2]), np.sin(reference[time, 2])
+    of_place = slopes[:, 0] * (c * x - s * y) + slopes[:, 1] * (s * x + c * y)
+    # A robot that turns also moves a beam beside its centre; a beam that turns on its robot stays where it is.
+    of_swing = slopes[:, 1] * (c * ahead - s * left) - slopes[:, 0] * (s * ahead + c * left)
+    value = linearisation.value + of_place + (slopes[:, 2] - of_swing) * yaw
+    return linearisation._replace(value=np.ascontiguousarray(value))
+
+
+def _same_walls(table: RangeBeams, made_from: RangeBeams) -> bool:
+    if not same_fields(table, made_from, ("vertices",)):
+        return False
+    return not isinstance(table.extras, RangeExtras) or same_fields(table.extras, made_from.extras, ("width",))
 
 
 def empty_like(table: RangeBeams) -> LinearReadings:
