@@ -77,8 +77,8 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
         )
     log_evidence = np.where(complete, blobs["log_evidence"][backend.window], -np.inf)
     centre = _known_median(log_evidence)
-    best = int(np.nanargmax(np.where(np.isnan(centre), -np.finfo(float).max, centre)))
     # A chain whose few sweeps made no estimate is not called lost.
+    best = int(np.argmax(np.where(np.isnan(centre), -np.finfo(float).max, centre)))
     gap = np.where(np.isnan(centre), 0.0, centre[best] - centre)
     limit = np.inf
     if stage.restart_lost:
