@@ -85,7 +85,9 @@ def test_a_landmark_that_is_first_seen_late_and_is_wrong_does_not_end_the_run():
     late = RobotLog(dataset.assign(landmark_range=(("time", "landmark"), ranges)), "late.nc")
     found = criticize(late, effects=(), simulations=15, paths=4, particles=200, rounds=1, joint=False, workers=1)
     assert found.unexplained
-    late_rows = [one for one in found.unexplained if one.beams == (2,)]
+    # Its readings pull the path away, so that a landmark that is seen at the same time may be told beside it.
+    late_rows = [one for one in found.unexplained if 2 in one.beams]
     assert late_rows
+    assert all(len(one.beams) <= 2 for one in late_rows)
     assert all(80 <= one.time[0] <= one.time[1] <= 89 for one in late_rows)
     assert all(one.p_value <= 0.05 for one in found.unexplained)
