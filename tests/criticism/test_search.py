@@ -111,6 +111,19 @@ def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_
     assert outcome.found.probability + sum(one.probability for one in outcome.found.alternatives) > 0.98
 
 
+@pytest.mark.parametrize(("other", "finer"), [("sensor-yaw", True), ("odometry-arc", False)])
+def test_a_near_twin_with_some_probability_is_scored_with_more_particles_too(monkeypatch, other, finer):
+    """Three nats decide that only one of two is told; near twins are compared anew before that is said."""
+    case = Case(
+        monkeypatch, gains(**{"odometry_side_drift": 60.0, other.replace("-", "_"): 57.0}),
+        {"odometry-side-drift": 7.0, other: 6.9},
+    )  # fmt: skip
+    outcome = case.explain()
+    assert outcome.found.name == "odometry-side-drift"
+    assert 0.01 < outcome.probable.of(effect_named(other, case.log)) < 0.1
+    assert set(case.names("finer")) == ({"odometry-side-drift", other} if finer else set())
+
+
 def test_what_becomes_the_answer_by_a_longer_fit_of_another_is_fitted_thoroughly_too(monkeypatch):
     case = Case(monkeypatch, gains(odometry_arc=60.0, odometry_turn_scale=50.0), {"odometry-arc": 7.0})
     brief = refits.refitted
