@@ -64,7 +64,7 @@ class ParticleGibbs(CalibrationMethod):
     tuning_sweeps : tuple of int
         Sweeps of each round of tuning.
     sweeps_per_draw : int, optional
-        Sweeps from one stored draw to the next; when left out 2, and 1 where transport moves are easily accepted.
+        Sweeps from one stored draw to the next; when left out 1 to 4, fewest where transport moves are easily accepted.
 
     References
     ----------
@@ -120,7 +120,7 @@ class ParticleGibbs(CalibrationMethod):
         None,
         "Sweeps from one stored draw to the next.",
         least=1,
-        otherwise="2, or 1 where transport moves are easily accepted",
+        otherwise="1 to 4, fewest where transport moves are easily accepted",
     )
 
     @property

@@ -221,11 +221,11 @@ def test_without_any_estimate_only_a_chain_that_could_not_include_all_rows_is_lo
     [
         (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
         (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=18, sweeps=1)),
-        (0.3, 0.9, Schedule(moves=4, walk_share=0.1, path_share=0.1)),
+        (0.3, 0.9, Schedule(moves=4, walk_share=0.1, path_share=0.1, sweeps=4)),
         (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5, sweeps=1)),
         (0.3, 0.13, Schedule(walk_share=0.1, block=6)),
         (0.3, 1e-6, Schedule(walk_share=0.1, block=4)),
-        (0.3, 1.0, Schedule(moves=4, walk_share=0.1, path_share=0.1)),
+        (0.3, 1.0, Schedule(moves=4, walk_share=0.1, path_share=0.1, sweeps=4)),
         (0.05, 0.9, Schedule()),
         (np.nan, np.nan, Schedule()),
     ],
