@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
 from pmcl.engine.tables import NoExtras
+from pmcl.geometry import late_poses
 
 __all__ = [
     "BEARING",
@@ -26,9 +27,11 @@ __all__ = [
     "add_information",
     "add_linear_extras",
     "add_sums",
+    "earlier_part",
     "empty_readings",
     "inlier_share",
     "pack_readings",
+    "reading_poses",
     "same_fields",
     "times_of",
     "with_reading",
@@ -114,16 +117,74 @@ def empty_readings(*, extras: bool) -> LinearReadings:
     return plain._replace(extras=LinearExtras(number, number, number)) if extras else plain
 
 
-def times_of(readings: LinearReadings) -> Int:
+def times_of(readings: Any) -> Int:
     """Return the row of each reading, (M,)."""
     return np.repeat(np.arange(readings.first.size - 1), np.diff(readings.first))
 
 
-def add_linear_extras(readings: LinearReadings, reference: Float, distance: Float, depth: Float) -> LinearReadings:
-    """Add distance (M,), depth (M,), and how fast the ideal value changes along the reference (T, D)."""
+def reading_poses(table: Any, reference: Float) -> Float:
+    """Return where readings were taken along a reference (T, D): late ones at an earlier pose.
+
+    Parameters
+    ----------
+    table : NamedTuple
+        Table of a sensor.
+    reference : ndarray, shape (T, D)
+        The reference trajectory.
+
+    Returns
+    -------
+    ndarray, shape (T, D)
+        `reference` itself where the table has no latency. State components beside the pose stay as they are.
+    """
+    lag = getattr(table.extras, "lag", None)
+    if lag is None or not np.any(lag):
+        return reference
+    return np.ascontiguousarray(np.hstack([late_poses(reference, lag), reference[:, 3:]]))
+
+
+def earlier_part(table: Any, linearisation: Any) -> Float | float:
+    """Return lag times velocity of each reading, (M,), that the values of late readings have too much; 0 without lag.
+
+    Parameters
+    ----------
+    table : NamedTuple
+        Table of the sensor, with the latency at which the readings were linearised.
+    linearisation : NamedTuple
+        The linearised readings, with or without a velocity in their extras.
+    """
+    lag = getattr(table.extras, "lag", None)
+    if lag is None or not np.any(lag):
+        return 0.0
+    extras = getattr(linearisation, "extras", linearisation)
+    return np.asarray(lag[times_of(linearisation)] * extras.velocity)
+
+
+def add_linear_extras(
+    readings: LinearReadings, table: Any, reference: Float, distance: Float, depth: Float
+) -> LinearReadings:
+    """Add what tables with extras need to know of readings that are linearised at :func:`reading_poses`.
+
+    Parameters
+    ----------
+    readings : LinearReadings
+        The readings.
+    table : NamedTuple
+        Table of the sensor.
+    reference : ndarray, shape (T, D)
+        The reference trajectory.
+    distance, depth : ndarray, shape (M,)
+        As in :class:`LinearExtras`.
+
+    Returns
+    -------
+    LinearReadings
+        `value` less lag times `velocity` is the ideal value at the table's own latency: kernels subtract that product.
+    """
     step = np.diff(reference, axis=0, prepend=reference[:1])[times_of(readings)]
     velocity = np.einsum("kd,kd->k", readings.jacobian, step)
-    return readings._replace(extras=LinearExtras(velocity, distance, depth))
+    readings = readings._replace(extras=LinearExtras(velocity, distance, depth))
+    return readings._replace(value=np.ascontiguousarray(readings.value + earlier_part(table, readings)))
 
 
 def same_fields(table: Any, other: Any, names: Iterable[str]) -> bool:

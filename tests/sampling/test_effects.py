@@ -21,6 +21,7 @@ from oracles.monte_carlo import chain_standard_error
 import pmcl
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.filtering.statistics import block_statistics, trajectory_statistics
+from pmcl.geometry import late_poses
 from pmcl.localization.model_choice import model_for
 from pmcl.models.robot_model import default_model
 from pmcl.models.sensor import sensor_of
@@ -140,6 +141,37 @@ def test_a_moved_sensor_or_map_moves_the_linearised_readings(name):
         lengths = beam_lengths(sensor._replace(beam_pose=poses), path)[time, made.channel]
         np.testing.assert_allclose(moved.value - made.value, 1e3 * (lengths - made.value), rtol=0.02, atol=0.002)
     np.testing.assert_array_equal(moved.reading, made.reading)
+
+
+@pytest.mark.parametrize("name", ["beam-yaw", "landmark-moved"])
+def test_late_readings_are_linearised_at_the_poses_where_they_were_taken(name):
+    """Less lag times velocity, values are the ideal ones at the late poses, also after the map or a mount has moved."""
+    moved, _, path = bound_with(name)
+    bound = replace(moved.model, effects=(BY_NAME["sensor-latency"], *moved.effects)).bind(moved.logs[0])
+    base = bound.prior_mean()[: -1 - len(moved.effects[0].null)]
+    late = [*base, 0.3, *moved.effects[0].null]
+    (table,) = bound.tables(np.array(late))[0].sensors
+    made = sensor_of(table).linearise(table, path)
+    time = np.repeat(np.arange(len(path)), np.diff(made.first))
+    poses = late_poses(path, table.extras.lag)
+    assert np.abs(poses[:, 2] - path[:, 2]).max() > 0.05
+    if name == "landmark-moved":
+        made_there = sensor_of(table).linearise(without_lag(table), poses).value
+        (other,) = bound.tables(np.array([*base, 0.3, *moved.effects[0].magnitude("clear")]))[0].sensors
+        after = sensor_of(table).moved_linearisation(other, table, made, path)
+        np.testing.assert_allclose(
+            after.value - after.extras.velocity * table.extras.lag[time],
+            sensor_of(table).linearise(without_lag(other), poses).value,
+            atol=1e-9,
+        )
+    else:
+        made_there = beam_lengths(table, poses)[time, made.channel]
+    np.testing.assert_allclose(made.value - made.extras.velocity * table.extras.lag[time], made_there, atol=1e-9)
+
+
+def without_lag(table):
+    """The table of a sensor whose readings are not late."""
+    return table._replace(extras=table.extras._replace(lag=np.zeros_like(table.extras.lag)))
 
 
 def test_without_the_moved_readings_moves_of_the_mount_are_hardly_accepted(rng):

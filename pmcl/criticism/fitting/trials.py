@@ -12,12 +12,11 @@ from scipy import special
 from pmcl.criticism.fitting.evidence import nested_evidence
 from pmcl.criticism.fitting.held_out import row_scores
 from pmcl.criticism.fitting.quick_fit import GLANCE, THOROUGH, Effort, Fit, quick_fit
-from pmcl.criticism.scoring.scores import probe_values
+from pmcl.criticism.fitting.starting_point import starting_point
 from pmcl.errors import DensityError, PmclError
 from pmcl.filtering.paired_scores import Gain, paired_gain
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
-from pmcl.models.parameters import prior_support
 from pmcl.models.robot_model import RobotModel
 
 __all__ = ["Trial", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base", "try_effect"]
@@ -25,8 +24,6 @@ __all__ = ["Trial", "log_prior_and_volume", "refitted", "scored_anew", "trial_of
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
 
-# The refit of a candidate starts at this share of its clear magnitude (chosen by hand).
-_START_SHARE = 0.25
 # All gains are over the current model, whose score is therefore the mean of so many passes of the filter.
 _PASSES_OF_CURRENT = 8
 # Added to the diagonal of a covariance, in units of its own diagonal: a parameter that a short chain has not moved.
@@ -157,8 +154,9 @@ def try_effect(
             current.model, effects=(*current.model.effects, effect), fixed={**current.model.fixed, **held_fixed}
         )
         bound = model.bind(log)
-        theta = np.concatenate([current.fit.theta, _start_values(effect, z)[free]])
-        fitted = quick_fit(bound, seed, theta=theta, path=current.fit.path, effort=effort)
+        values, path = starting_point(bound, current.fit, effect, z, free)
+        theta = np.concatenate([current.fit.theta, values[free]])
+        fitted = quick_fit(bound, seed, theta=theta, path=path, effort=effort)
         return _scored(effect, model, fitted, z, current, seed=seed, particles=particles, effort=effort)
     except DensityError:
         raise
@@ -261,16 +259,3 @@ def _scored(
 def _free_parameters(model: RobotModel) -> NDArray[np.bool_]:
     """Return which parameters of a model's newest effect are fitted."""
     return np.array([parameter.name not in model.fixed for parameter in model.named_effects[-1].parameters])
-
-
-def _start_values(effect: Effect, z: float) -> Float:
-    """Return values near the null, on the side that the score points to, inside the priors."""
-    values = np.array(effect.null, dtype=float)
-    for k in effect.strengths:
-        one_sided = effect.squared or effect.one_sided(k)
-        values[k] = probe_values(effect, _START_SHARE if one_sided else _START_SHARE * float(np.sign(z) or 1.0), k)[k]
-    for k, parameter in enumerate(effect.parameters):
-        low, high = prior_support(parameter.prior)
-        margin = 1e-6 * (high - low) if np.isfinite(high - low) else 1e-6
-        values[k] = float(np.clip(values[k], low + margin, high - margin))
-    return values

@@ -87,6 +87,10 @@ class Effect:
         ``fitted(effect, log)``: adapts null, priors and magnitudes of an instance to its place.
     tells : callable, optional
         ``tells(log)``: values that the data show by themselves, by parameter name, to be held fixed.
+    carries : callable, optional
+        ``carries(path, values, log)``: the path (T, D) along which the readings with the effect are about those along
+        `path` without it, for an effect that moves the whole sensor. Only the motion then tells its size. A fit starts
+        there: from the path without the effect, all readings would have to be left behind to come to a large one.
     """
 
     name: str
@@ -110,6 +114,7 @@ class Effect:
     places: Callable[[RobotLog], Sequence[Where]] | None = None
     fitted: Callable[[Effect, RobotLog], Effect] | None = None
     tells: Callable[[RobotLog], Mapping[str, float]] | None = None
+    carries: Callable[[Float, Float, RobotLog], Float] | None = None
 
     def __post_init__(self) -> None:
         """Check that names, values and priors belong together."""

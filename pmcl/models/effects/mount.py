@@ -64,6 +64,12 @@ def _sensor_yaw(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
     return _remount(tables, "sensor-yaw", ring, camera, laser)
 
 
+def _turned_back(path: Float, values: Float, log: RobotLog) -> Float:
+    carried = path.copy()
+    carried[:, 2] -= values[0]
+    return carried
+
+
 def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     offset = np.array([values[0], values[1], 0.0])
     return _remount(
@@ -75,6 +81,14 @@ def _sensor_offset(tables: Tables, values: Float, log: RobotLog, where: Where) -
     )
 
 
+def _moved_back(path: Float, values: Float, log: RobotLog) -> Float:
+    carried = path.copy()
+    c, s = np.cos(path[:, 2]), np.sin(path[:, 2])
+    carried[:, 0] -= c * values[0] - s * values[1]
+    carried[:, 1] -= s * values[0] + c * values[1]
+    return carried
+
+
 def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     pause = np.diff(log.times)
     lag = np.concatenate([[0.0], values[0] / pause])
@@ -83,6 +97,13 @@ def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tabl
         return {"lag": table.lag + lag}
 
     return _remount(tables, "sensor-latency", edit, edit, edit)
+
+
+def _sooner(path: Float, values: Float, log: RobotLog) -> Float:
+    carried = path.copy()
+    for d in range(3):
+        carried[:, d] = np.interp(log.times + values[0], log.times, path[:, d])
+    return carried
 
 
 def _moves_and_reads(log: RobotLog) -> bool:
@@ -129,6 +150,7 @@ MOUNT_EFFECTS = (
         references=("Censi, Franchi, Marchionni, Oriolo, Simultaneous Calibration of Odometry and Sensor Parameters "
                     "for Mobile Robots, 2013",),
         needs=has_direction,
+        carries=_turned_back,
     ),
     Effect(
         name="sensor-offset",
@@ -147,6 +169,7 @@ MOUNT_EFFECTS = (
         references=("Censi, Franchi, Marchionni, Oriolo, Simultaneous Calibration of Odometry and Sensor Parameters "
                     "for Mobile Robots, 2013",),
         needs=reads_anything,
+        carries=_moved_back,
     ),
     Effect(
         name="sensor-latency",
@@ -164,6 +187,7 @@ MOUNT_EFFECTS = (
         },
         references=("Furgale, Rehder, Siegwart, Unified Temporal and Spatial Calibration, IROS 2013",),
         needs=_moves_and_reads,
+        carries=_sooner,
     ),
     Effect(
         name="range-is-depth",

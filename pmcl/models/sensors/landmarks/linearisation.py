@@ -13,9 +13,11 @@ from pmcl.engine.linear_readings import (
     SIZE,
     LinearReadings,
     add_linear_extras,
+    earlier_part,
     empty_readings,
     inlier_share,
     pack_readings,
+    reading_poses,
     same_fields,
     times_of,
 )
@@ -51,10 +53,11 @@ def linearise(table: LandmarkSightings, reference: Float) -> LinearReadings:
     if not isinstance(table.extras, LandmarkExtras):
         return _linear_readings(table, reference)
     gross = 1.0 - (1.0 - table.outlier_weight) * (1.0 - table.extras.misread_weight)
-    readings = _linear_readings(table._replace(outlier_weight=gross), reference)
-    ahead, aside = relative_positions(table, readings.channel, reference[times_of(readings)])
+    poses = reading_poses(table, reference)
+    readings = _linear_readings(table._replace(outlier_weight=gross), poses)
+    ahead, aside = relative_positions(table, readings.channel, poses[times_of(readings)])
     depth = np.cos(np.arctan2(aside, ahead) - table.sensor_pose[2])
-    return add_linear_extras(readings, reference, np.hypot(ahead, aside), depth)
+    return add_linear_extras(readings, table, reference, np.hypot(ahead, aside), depth)
 
 
 def _linear_readings(table: Any, reference: Float) -> LinearReadings:
@@ -104,9 +107,11 @@ def moved_linearisation(
     """Return a linearisation for a moved map or sensor; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
     if same_fields(table, made_from, ("position", "sensor_pose")):
         return linearisation
-    ahead, aside = relative_positions(table, linearisation.channel, reference[times_of(linearisation)])
+    poses = reading_poses(made_from, reference)[times_of(linearisation)]
+    ahead, aside = relative_positions(table, linearisation.channel, poses)
     distance, bearing = np.maximum(np.hypot(ahead, aside), 1e-9), np.arctan2(aside, ahead) - table.sensor_pose[2]
-    return linearisation._replace(value=np.choose(linearisation.kind, [distance, bearing, distance**-2.0]))
+    value = np.choose(linearisation.kind, [distance, bearing, distance**-2.0])
+    return linearisation._replace(value=np.ascontiguousarray(value + earlier_part(made_from, linearisation)))
 
 
 def empty_like(table: LandmarkSightings) -> LinearReadings:

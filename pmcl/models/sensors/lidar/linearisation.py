@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pmcl.engine.linear_readings import earlier_part, reading_poses, times_of
 from pmcl.models.sensors.lidar.geometry import lengths_along, ray_origins
 from pmcl.models.sensors.lidar.table import BEAM, LidarTable
 from pmcl.models.sensors.lidar.walls import walls_of
@@ -69,11 +70,12 @@ def linearise(table: LidarTable, reference: Float) -> LinearScans:
     """Linearise scans around a reference (T, D); see :meth:`pmcl.models.sensor.Sensor.linearise`."""
     n_steps = reference.shape[0]
     reading = table.reading[:n_steps]
-    origins, directions = ray_origins(table, reference)
+    poses = reading_poses(table, reference)
+    origins, directions = ray_origins(table, poses)
     length = (reading - table.bias) / table.scale
     usable = reading < table.max_range
     if table.model == BEAM:
-        to_wall = lengths_along(table, reference)
+        to_wall = lengths_along(table, poses)
         usable &= np.isfinite(to_wall) & (np.abs(length - to_wall) < _FARTHEST * table.std)
     else:
         to_wall = length
@@ -95,14 +97,15 @@ def linearise(table: LidarTable, reference: Float) -> LinearScans:
         kept = np.flatnonzero(steep & (np.abs(residual) < _FARTHEST * table.std[ray]))
     time, ray, start, along = time[kept], ray[kept], start[kept], along[kept]
     normal, cosine, value, residual = normal[kept], cosine[kept], value[kept], residual[kept]
-    jacobian = _slopes(reference, time, start + value[:, None] * along, normal, cosine)
+    jacobian = _slopes(poses, time, start + value[:, None] * along, normal, cosine)
     step = np.diff(reference, axis=0, prepend=reference[:1])[time]
     first = np.searchsorted(time, np.arange(n_steps + 1)).astype(np.int64)
-    return LinearScans(
+    scans = LinearScans(
         first, ray.astype(np.int64), reading[time, ray], np.ascontiguousarray(value), jacobian,
         _hit_share(table, ray, residual), np.abs(cosine), np.einsum("kd,kd->k", jacobian, step),
         np.column_stack([normal, offset[kept]]),
     )  # fmt: skip
+    return scans._replace(value=np.ascontiguousarray(value + earlier_part(table, scans)))
 
 
 def _slopes(reference: Float, time: Int, point: Float, normal: Float, cosine: Float) -> Float:
@@ -126,10 +129,10 @@ def moved_linearisation(table: LidarTable, made_from: LidarTable, linearisation:
     """Return a linearisation for moved lasers; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
     if table.beam_pose is made_from.beam_pose or np.array_equal(table.beam_pose, made_from.beam_pose):
         return linearisation
-    time = np.repeat(np.arange(linearisation.first.size - 1), np.diff(linearisation.first))
-    origins, directions = ray_origins(table, reference)
+    time, poses = times_of(linearisation), reading_poses(made_from, reference)
+    origins, directions = ray_origins(table, poses)
     start, direction = origins[time, linearisation.channel], directions[time, linearisation.channel]
-    before, direction_before = ray_origins(made_from, reference)
+    before, direction_before = ray_origins(made_from, poses)
     start_before, direction_before = before[time, linearisation.channel], direction_before[time, linearisation.channel]
     normal = linearisation.normal[:, :2]
 

@@ -11,9 +11,11 @@ from pmcl.engine.linear_readings import (
     RANGE,
     LinearReadings,
     add_linear_extras,
+    earlier_part,
     empty_readings,
     inlier_share,
     pack_readings,
+    reading_poses,
     same_fields,
     times_of,
 )
@@ -68,11 +70,11 @@ def linearise(table: RangeBeams, reference: Float) -> LinearReadings:
     std = table.std * extras.std_factor[:rows, None]
     readings = _linear_readings(
         table._replace(reading=table.reading[:rows] - extras.bias_at[:rows], std=std, outlier_weight=1.0 - sound),
-        reference,
+        reading_poses(table, reference),
     )
     with_bias = readings.reading + extras.bias_at[times_of(readings), readings.channel]
     readings = readings._replace(reading=np.ascontiguousarray(with_bias))
-    return add_linear_extras(readings, reference, readings.value.copy(), np.ones(readings.value.size))
+    return add_linear_extras(readings, table, reference, readings.value.copy(), np.ones(readings.value.size))
 
 
 def _linear_readings(table: Any, reference: Float) -> LinearReadings:
@@ -105,8 +107,9 @@ def _linear_readings(table: Any, reference: Float) -> LinearReadings:
 def moved_linearisation(table: RangeBeams, made_from: RangeBeams, linearisation: Any, reference: Float) -> Any:
     """Return a linearisation for moved beams or walls; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
     time, beam = times_of(linearisation), linearisation.channel
+    poses = reading_poses(made_from, reference)
     if not _same_walls(table, made_from):
-        lengths = beam_lengths(table, reference)[time, beam]
+        lengths = beam_lengths(table, poses)[time, beam] + earlier_part(made_from, linearisation)
         # A beam that meets nothing from its new place keeps the value that it had.
         return linearisation._replace(value=np.where(np.isfinite(lengths), lengths, linearisation.value))
     if same_fields(table, made_from, ("beam_pose",)):
@@ -115,7 +118,7 @@ def moved_linearisation(table: RangeBeams, made_from: RangeBeams, linearisation:
     # reads what it has read, and no beam meets another wall.
     slopes, (ahead, left, _) = linearisation.jacobian, made_from.beam_pose[beam].T
     x, y, yaw = (table.beam_pose[beam] - made_from.beam_pose[beam]).T
-    c, s = np.cos(reference[time, 2]), np.sin(reference[time, 2])
+    c, s = np.cos(poses[time, 2]), np.sin(poses[time, 2])
     of_place = slopes[:, 0] * (c * x - s * y) + slopes[:, 1] * (s * x + c * y)
     # A robot that turns also moves a beam beside its centre; a beam that turns on its robot stays where it is.
     of_swing = slopes[:, 1] * (c * ahead - s * left) - slopes[:, 0] * (s * ahead + c * left)
