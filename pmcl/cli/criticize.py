@@ -25,7 +25,7 @@ __all__ = ["criticize"]
 
 
 @click.command(short_help="Find what the model of a log lacks, and name it.")
-@click.argument("log", metavar="LOG.nc")
+@click.argument("logs", metavar="LOG.nc...", nargs=-1, required=True)
 @output_option("The page to write (HTML, one file).")
 @click.option(
     "--json",
@@ -63,7 +63,7 @@ __all__ = ["criticize"]
     "held_out_file",
     metavar="OTHER.nc",
     help="Another log of the robot, on which gains and gaps are shown, and where an effect gains nothing. Without it "
-    "the last part of LOG.nc is held out.",
+    "the last part of the log is held out.",
 )
 @effects_option()
 @click.option(
@@ -87,7 +87,7 @@ __all__ = ["criticize"]
 def criticize(
     ctx: click.Context,
     /,
-    log: str,
+    logs: tuple[str, ...],
     output: Path,
     json_file: Path | None,
     better_model: Path | None,
@@ -100,10 +100,13 @@ def criticize(
     joint: bool,
     **settings: Any,
 ) -> None:
-    """Find where model and log disagree, name the missing effect, add it, and show the gap shrink."""
+    """Find where model and log disagree, name the missing effect, add it, and show the gap shrink.
+
+    Several logs of one robot with the same sensors in the same surroundings are criticised together.
+    """
     outputs = [file for file in (output, json_file, better_model, better_posterior) if file is not None]
     for file in outputs:
-        protect_inputs(ctx, file, [path for path in (log, map_file, model_file, held_out_file) if path])
+        protect_inputs(ctx, file, [path for path in (*logs, map_file, model_file, held_out_file) if path])
     if len({file.resolve() for file in outputs}) < len(outputs):
         raise click.UsageError("expected different files for the outputs, but two have the same name: rename one", ctx)
     if better_posterior is not None and not joint:
@@ -113,23 +116,26 @@ def criticize(
     from pmcl.cli.report import print_verdict
     from pmcl.criticism.findings.verdict import next_drive_of
     from pmcl.criticism.workflow import criticize as run
+    from pmcl.logs.joined import join_logs
     from pmcl.logs.robot_log import RobotLog
     from pmcl.models.model_file import read_model
+    from pmcl.preflight.check import checked_logs
     from pmcl.reports.criticism_report import write_criticism_report
 
-    robot_log = RobotLog.read(log, map_file)
-    model = read_model(model_file, robot_log) if model_file is not None else None
+    robot_logs = [RobotLog.read(log, map_file) for log in logs]
+    model = read_model(model_file, robot_logs[0]) if model_file is not None else None
     held_out = RobotLog.read(held_out_file, map_file) if held_out_file is not None else None
     settings |= {"held_out": held_out, "joint": joint, "posterior": better_posterior is not None}
     if scheduler is None:
-        found = run(robot_log, model, progress=not no_progress, **settings)
+        found = run(robot_logs, model, progress=not no_progress, **settings)
     else:
         from pmcl.fleet.cluster import cluster
         from pmcl.fleet.critic_run import criticize_elsewhere
 
+        checked_logs(robot_logs, model)
         with cluster(scheduler) as place:
-            found = criticize_elsewhere(place, robot_log, model, **settings)
-    commands = _next_commands(log, output, better_model, better_posterior, map_file)
+            found = criticize_elsewhere(place, join_logs(robot_logs), model, **settings)
+    commands = _next_commands(logs, output, better_model, better_posterior, map_file)
     write_criticism_report(found, output, commands)
     if json_file is not None:
         found.write(json_file)
@@ -159,7 +165,7 @@ def criticize(
 
 
 def _next_commands(
-    log: str, page: Path, model: Path | None, posterior: Path | None, map_file: str | None
+    logs: tuple[str, ...], page: Path, model: Path | None, posterior: Path | None, map_file: str | None
 ) -> list[tuple[str, str]]:
     """Return what to do with the files that were written, or how to get them: purposes and commands."""
 
@@ -186,5 +192,5 @@ def _next_commands(
         ))
     if not commands:
         files = ("--save-model", "better.toml", "--posterior", "better.nc")
-        commands.append(("keep model and posterior as files", command("criticize", log, "-o", page, *files)))
+        commands.append(("keep model and posterior as files", command("criticize", *logs, "-o", page, *files)))
     return commands

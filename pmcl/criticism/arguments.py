@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pmcl.checks import check_flag, check_memory, check_number, check_seed, check_type, check_whole
@@ -23,7 +23,7 @@ _BYTES_PER_PARTICLE = 60.0
 
 
 def check_arguments(
-    log: Any,
+    logs: Sequence[RobotLog],
     held_out: Any,
     model: Any,
     effects: Any,
@@ -36,7 +36,9 @@ def check_arguments(
 
     Parameters
     ----------
-    log, held_out, model, effects, seed, level : Any
+    logs : sequence of RobotLog
+        The logs.
+    held_out, model, effects, seed, level : Any
         Arguments of that function.
     sizes : mapping of str to Any
         Its arguments that are whole numbers, by name.
@@ -48,7 +50,6 @@ def check_arguments(
     CriticismError, LogError, ModelError
         When one of them cannot be used.
     """
-    check_type("log", log, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     if held_out is not None:
         check_type("held_out", held_out, RobotLog, error=LogError, advice="read one with pmcl.read_log")
     for name, size in sizes.items():
@@ -58,7 +59,7 @@ def check_arguments(
     for name, flag in flags.items():
         check_flag(name, flag, error=CriticismError)
     check_seed(seed, error=CriticismError)
-    n_bytes = _BYTES_PER_PARTICLE * float(sizes["particles"]) * log.n_steps
+    n_bytes = _BYTES_PER_PARTICLE * float(sizes["particles"]) * sum(log.n_steps for log in logs)
     check_memory("the particles", n_bytes, error=CriticismError, advice="ask for fewer particles")
     if model is not None:
         check_type("model", model, RobotModel, error=ModelError, advice="leave it out for the default model")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,11 +19,12 @@ from pmcl.criticism.settings import Settings
 from pmcl.errors import CriticismError
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.interrupts import stopping_on_interrupt
+from pmcl.logs.joined import join_logs, joints_of
 from pmcl.logs.robot_log import RobotLog
 from pmcl.logs.schema import readings
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
-from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.robot_model import RobotModel, default_model, log_sequence
 from pmcl.preflight.check import checked_logs
 
 __all__ = ["criticize"]
@@ -33,7 +35,7 @@ _LEAST_READINGS = 20
 
 @stopping_on_interrupt()
 def criticize(
-    log: RobotLog,
+    log: RobotLog | Sequence[RobotLog],
     model: RobotModel | None = None,
     *,
     held_out: RobotLog | None = None,
@@ -55,8 +57,9 @@ def criticize(
 
     Parameters
     ----------
-    log : RobotLog
-        The log; its reference trajectory and true parameters are never read.
+    log : RobotLog, or sequence of RobotLog
+        The log, or several logs of one robot with the same sensors in the same surroundings, which are criticised
+        together (:func:`pmcl.logs.joined.join_logs`). Reference trajectories and true parameters are never read.
     model : RobotModel, optional
         The base model; the default model of the log when left out.
     held_out : RobotLog, optional
@@ -121,8 +124,9 @@ def criticize(
     lost. Notes tell what of this was done. The verdict is "unknown effect" then, unless effects were found on the whole
     log and no alarm is left.
     """
+    logs = log_sequence(log)
     check_arguments(
-        log, held_out, model, effects,
+        logs, held_out, model, effects,
         {"particles": particles, "simulations": simulations, "paths": paths, "rounds": rounds, "draws": draws,
          "workers": workers},
         {"joint": joint, "progress": progress, "posterior": posterior}, seed, level,
@@ -133,9 +137,9 @@ def criticize(
             "expected full chains for a posterior, but joint=False switches them off; leave joint at True, or ask "
             "for no posterior"
         )
-    log = log.without_truth()
+    checked_logs(logs, model)
+    log = join_logs([one.without_truth() for one in logs])
     _check(log)
-    checked_logs((log,), model)
     base = model or default_model(log)
     other = None
     if held_out is not None:
@@ -157,7 +161,16 @@ def criticize(
             run=lambda loop: loop.run(rounds, joint, draws, always=posterior),
             other=other,
         )
-        return runs.criticism_of(log, base)
+        found = runs.criticism_of(log, base)
+    return replace(found, notes=(*_joined(log), *found.notes))
+
+
+def _joined(log: RobotLog) -> list[str]:
+    """Return notes on what a joined log consists of."""
+    return [
+        f"{joint.where} begins at t={joint.time:g} s of the logs together, which is t={joint.own_time:g} s of its own"
+        for joint in joints_of(log)
+    ]
 
 
 def _check(log: RobotLog) -> None:

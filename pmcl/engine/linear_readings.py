@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
 from pmcl.engine.tables import NoExtras
-from pmcl.geometry import late_poses
 
 __all__ = [
     "BEARING",
@@ -31,7 +30,6 @@ __all__ = [
     "empty_readings",
     "inlier_share",
     "pack_readings",
-    "reading_poses",
     "same_fields",
     "times_of",
     "with_reading",
@@ -122,27 +120,6 @@ def times_of(readings: Any) -> Int:
     return np.repeat(np.arange(readings.first.size - 1), np.diff(readings.first))
 
 
-def reading_poses(table: Any, reference: Float) -> Float:
-    """Return where readings were taken along a reference (T, D): late ones at an earlier pose.
-
-    Parameters
-    ----------
-    table : NamedTuple
-        Table of a sensor.
-    reference : ndarray, shape (T, D)
-        The reference trajectory.
-
-    Returns
-    -------
-    ndarray, shape (T, D)
-        `reference` itself where the table has no latency. State components beside the pose stay as they are.
-    """
-    lag = getattr(table.extras, "lag", None)
-    if lag is None or not np.any(lag):
-        return reference
-    return np.ascontiguousarray(np.hstack([late_poses(reference, lag), reference[:, 3:]]))
-
-
 def earlier_part(table: Any, linearisation: Any) -> Float | float:
     """Return lag times velocity of each reading, (M,), that the values of late readings have too much; 0 without lag.
 
@@ -163,7 +140,7 @@ def earlier_part(table: Any, linearisation: Any) -> Float | float:
 def add_linear_extras(
     readings: LinearReadings, table: Any, reference: Float, distance: Float, depth: Float
 ) -> LinearReadings:
-    """Add what tables with extras need to know of readings that are linearised at :func:`reading_poses`.
+    """Add what tables with extras need to know of readings that are linearised at the poses where they were taken.
 
     Parameters
     ----------

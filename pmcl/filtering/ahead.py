@@ -10,6 +10,7 @@ from pmcl.engine.tables import with_extras
 from pmcl.filtering.kernels import linear, smc
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.filtering.particle_filter import make_rng
+from pmcl.models.motions.joined.table import joined_tables, parts_of_joined
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables, uniform
 
@@ -35,8 +36,11 @@ def compile_for_criticism(tables: Tables) -> None:
     tables : Tables
         Tables of any theta: only their types count. Those with extras, which candidates of effects need, follow them.
     """
-    moved = tables._replace(motion=with_extras(tables.motion))
-    full = uniform(tables._replace(sensors=tuple(with_extras(sensor) for sensor in tables.sensors)))
+    own, seams = parts_of_joined(tables)
+    moved = own._replace(motion=with_extras(own.motion))
+    full = uniform(own._replace(sensors=tuple(with_extras(sensor) for sensor in own.sensors)))
+    if seams is not None:
+        moved, full = joined_tables(moved, seams), joined_tables(full, seams)
     filtering = _filtering(tables)
     compile_ahead(
         [

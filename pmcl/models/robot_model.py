@@ -15,6 +15,8 @@ from pmcl.errors import LogError, ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect, named_apart
 from pmcl.models.motions.increments.motion import IncrementNoise
+from pmcl.models.motions.joined.seams import seams_of
+from pmcl.models.motions.joined.table import joined_tables, parts_of_joined
 from pmcl.models.motions.odometry.motion import Differential
 from pmcl.models.parameters import Parameter, PriorTable, log_prior_function, prior_support, prior_table
 from pmcl.models.part import BoundPart, Float, Int, Part
@@ -174,6 +176,8 @@ class BoundModel:
         Number of time steps of each log.
     parts : tuple of tuple of BoundPart
         For each log: start, motion, sensors.
+    seams : tuple of Seams or None
+        For each log: where the robot begins anew, if several logs were joined to it.
     effects : tuple of Effect
         The model's effects, with the parameter names that they have in it.
     slots : tuple
@@ -189,6 +193,7 @@ class BoundModel:
         self.parts: tuple[tuple[BoundPart, ...], ...] = tuple(
             tuple(part.bind(log) for part in model.parts) for log in logs
         )
+        self.seams = tuple(seams_of(log) for log in logs)
         self.effects = model.named_effects
         self.slots = self._slots()
         for log in logs:
@@ -206,7 +211,7 @@ class BoundModel:
         other = object.__new__(BoundModel)
         other.__dict__.update(self.__dict__)
         start = self.parts[0][0]
-        other.logs, other.lengths = (log,), (log.n_steps,)
+        other.logs, other.lengths, other.seams = (log,), (log.n_steps,), (None,)
         other.parts = ((start, *(part.bind(log) for part in self.model.parts[1:])),)
         return other
 
@@ -243,13 +248,14 @@ class BoundModel:
         own = [slots.take(theta) for slots in self.slots]
         n_parts = len(self.model.parts)
         of_logs = []
-        for log, parts in zip(self.logs, self.parts, strict=True):
+        for log, parts, seams in zip(self.logs, self.parts, self.seams, strict=True):
             start, motion, *sensors = (part.table(values) for part, values in zip(parts, own[:n_parts], strict=True))
             tables = Tables(start, motion, tuple(sensors))
             for effect, values in zip(self.effects, own[n_parts:], strict=True):
                 tables = effect.edit(tables, values, log)
             # Kernels are compiled for each combination of table types, of which this keeps only few.
-            of_logs.append(uniform(tables))
+            tables = uniform(tables)
+            of_logs.append(tables if seams is None else joined_tables(tables, seams))
         return tuple(of_logs)
 
     def restricted(self, rows: int) -> BoundModel:
@@ -267,6 +273,8 @@ class BoundModel:
 
         They are where effects only move what its table expects; `position` counts as in :attr:`parts`.
         """
+        if position == 1 and any(seams is not None for seams in self.seams):
+            return False
         touching = [effect for effect in self.effects if (effect.carrier == "motion") == (position == 1)]
         return position == 0 or all(effect.means_only for effect in touching)
 
@@ -295,7 +303,7 @@ class BoundModel:
             When some standard deviation of the motion is zero, negative or not a number.
         """
         for log, tables in zip(self.logs, self.tables(theta), strict=True):
-            std = getattr(tables.motion, "std", None)
+            std = getattr(parts_of_joined(tables)[0].motion, "std", None)
             if std is None:
                 continue
             bad = np.argwhere(~(np.asarray(std)[1:] > 0.0))

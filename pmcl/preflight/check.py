@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from pmcl.errors import LogError
 from pmcl.logs.finding import Finding, warn_of
+from pmcl.logs.joined import joints_of
 from pmcl.logs.plausibility import implausible
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.motions.increments.motion import IncrementNoise
@@ -62,7 +63,8 @@ def preflight(log: RobotLog, model: RobotModel | None = None) -> tuple[Finding, 
     Returns
     -------
     tuple of Finding
-        Empty for a sound log. What is impossible is no finding: such a log cannot be built or read at all.
+        Empty for a sound log. What is impossible is no finding: such a log cannot be built or read at all. Nothing is
+        found in joined logs, which are looked at before they are joined.
 
     Notes
     -----
@@ -71,6 +73,8 @@ def preflight(log: RobotLog, model: RobotModel | None = None) -> tuple[Finding, 
     0.001) nats, the gains of ten blocks are three standard errors above zero, and both hold again with five times the
     particles. Where two ways to read a log explain it equally well, as in a symmetric room, nothing is said.
     """
+    if joints_of(log):
+        return ()
     found = implausible(log)
     return (*found, *disagreements(log, model, {finding.name for finding in found}))
 

@@ -16,6 +16,7 @@ from scipy import special
 from pmcl.criticism.findings.parts import Candidate
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.scoring.scored_log import ScoredLog
+from pmcl.logs.joined import first_rows
 from pmcl.logs.robot_log import RobotLog
 from pmcl.reports.map_drawing import draw_map
 from pmcl.reports.style import FAINT, POSTERIOR, legend_above, new_figure, tidy
@@ -53,10 +54,13 @@ def plot_map(criticism: Criticism) -> Figure:
     for axes, (title, scored), shade in zip(grid, models, shades, strict=True):
         of_map = _draw_map(axes, criticism.log)
         points = scored.path[:, :2]
+        # Nobody drives from the end of one log to the start of the next.
+        driven = np.setdiff1d(np.arange(1, len(points)), first_rows(criticism.log))
         lines = LineCollection(
-            list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis_r", norm=LogNorm(0.5, top), linewidths=2.5
-        )
-        lines.set_array(shade[1:])
+            list(np.stack([points[driven - 1], points[driven]], axis=1)),
+            cmap="viridis_r", norm=LogNorm(0.5, top), linewidths=2.5,
+        )  # fmt: skip
+        lines.set_array(shade[driven])
         axes.add_collection(lines)
         axes.autoscale_view()
         axes.set_title(title, fontsize=10)

@@ -55,6 +55,8 @@ def test_what_criticize_refuses(refused, biased, log_file, tmp_path):
     assert "'--level'" in refused("criticize", biased, "-o", page, "--level", "0.7")
     better = tmp_path / "better.nc"
     assert "--no-joint" in refused("criticize", biased, "-o", page, "--posterior", better, "--no-joint")
+    assert "other than the input" in refused("criticize", log_file, biased, "-o", biased)
+    assert "given twice" in refused("criticize", biased, biased, "-o", page)
     assert "two have the same name" in refused("criticize", biased, "-o", page, "--save-model", page)
     assert "other than the input" in refused("criticize", biased, "-o", page, "--posterior", biased)
     assert not page.exists()
@@ -62,19 +64,19 @@ def test_what_criticize_refuses(refused, biased, log_file, tmp_path):
 
 
 def test_the_next_commands_name_the_files_that_were_written():
-    told = _next_commands("my log.nc", Path("page.html"), Path("better.toml"), Path("a b.nc"), None)
+    told = _next_commands(("my log.nc",), Path("page.html"), Path("better.toml"), Path("a b.nc"), None)
     assert [command for _, command in told] == [
         "pmcl localize OTHER.nc --posterior 'a b.nc' -o track.nc",
         "pmcl report 'a b.nc' -o posterior.html",
         "pmcl calibrate OTHER.nc --model better.toml -o other_posterior.nc",
         "pmcl criticize OTHER.nc --model better.toml -o other.html",
     ]
-    on_map = _next_commands("my log.nc", Path("page.html"), Path("better.toml"), Path("a b.nc"), "my map.yaml")
+    on_map = _next_commands(("my log.nc",), Path("page.html"), Path("better.toml"), Path("a b.nc"), "my map.yaml")
     assert [command for _, command in on_map] == [
         command if "report" in command else f"{command} --map 'my map.yaml'" for _, command in told
     ]
-    ((_, command),) = _next_commands("my log.nc", Path("page.html"), None, None, None)
-    assert command == "pmcl criticize 'my log.nc' -o page.html --save-model better.toml --posterior better.nc"
+    ((_, command),) = _next_commands(("my log.nc", "b.nc"), Path("page.html"), None, None, None)
+    assert command == "pmcl criticize 'my log.nc' b.nc -o page.html --save-model better.toml --posterior better.nc"
     # Each is a command line that the program understands.
     for _, line in told:
         name, *words = shlex.split(line)[1:]
@@ -128,3 +130,19 @@ def test_what_criticize_found_is_used_by_other_commands(run, biased, tmp_path, m
     error = [float(re.search(r"position error, RMSE +([0-9.]+)", text).group(1)) for text in (with_it, without)]
     assert error[0] < error[1]
     assert 'name = "beam-bias"' in Path("better.toml").read_text()
+
+
+@pytest.mark.slow
+def test_several_logs_are_criticised_together(run, tmp_path):
+    """The notes tell where each begins; the numbers of the page are those of both."""
+    logs = [tmp_path / f"robot{k}.nc" for k in (1, 2)]
+    for seed, path in enumerate(logs):
+        simulate_amigobot(150.0, 5 + seed, NOISE, effects=("odometry-turn-scale=large",), hide_effects=True).write(path)
+    page, told = tmp_path / "page.html", tmp_path / "told.json"
+    done = run("criticize", *logs, "-o", page, "--json", told, "--no-joint", "--no-progress")
+    found = json.loads(told.read_text())
+    assert [effect["name"] for effect in found["effects"]] == ["odometry-turn-scale"]
+    parameter = found["effects"][0]["parameters"]["odometry_turn_scale"]
+    assert abs(parameter["mean"] - 0.25) < 4.0 * parameter["sd"]
+    assert "robot2.nc begins at t=209 s of the logs together, which is t=0 s of its own" in done.output
+    assert "300 rows" in page.read_text()

@@ -7,7 +7,7 @@ and a soft pull back to the path, because commands alone would lead it through w
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pmcl.errors import ModelError
 from pmcl.filtering.kernels.steering import steered_path
 from pmcl.logs.robot_log import RobotLog
+from pmcl.models.motions.joined.table import joined_tables, parts_of_joined
 from pmcl.models.sensor import sensor_of
 from pmcl.models.starts.table import GaussianStart
 from pmcl.models.tables import Tables
@@ -74,17 +75,23 @@ def replicated_log(
     ModelError
         When a motion or sensor table of the model cannot be simulated.
     """
-    mean = getattr(tables.motion, "mean", None)
+    steps, seams = parts_of_joined(tables)
+    mean = getattr(steps.motion, "mean", None)
     if mean is None or reference.shape[1] < 3:
         raise ModelError(
             f"{log.where}: expected motion by increments of a pose, which can be steered, but got a "
-            f"{type(tables.motion).__name__}; criticism needs such a model"
+            f"{type(steps.motion).__name__}; criticism needs such a model"
         )
-    motion = tables.motion._replace(mean=mean.copy())
+    commands = mean.copy()
+    steered: Any = steps._replace(motion=steps.motion._replace(mean=commands))
+    if seams is not None:
+        steered = joined_tables(steered, seams)
     swerve = _swerve(mean) if by_turning else 0.0
     path, correction = steered_path(
-        motion, rng, _start_state(tables, reference, rng), reference, _CORRECTED_SHARE, swerve
+        steered.motion, commands, rng, _start_state(tables, reference, rng), reference, _CORRECTED_SHARE, swerve
     )
+    if seams is not None:
+        correction[seams.row] = 0.0  # nobody drives from one log to the next
     dataset = log.without_truth().dataset.copy(deep=True)
     dataset["odometry"].values[1:] += correction[1:]
     for table in tables.sensors:

@@ -13,16 +13,18 @@ __all__ = ["steered_path"]
 
 
 @entry
-def steered_path(motion, rng, first, reference, pull, swerve):
+def steered_path(motion, mean, rng, first, reference, pull, swerve):
     """Draw a path whose commands follow the log's and, softly, a reference.
 
-    The command of each step is ``motion.mean[t]`` plus `pull` times the way back to the reference, seen from where
+    The command of each step is ``mean[t]`` plus `pull` times the way back to the reference, seen from where
     the robot was before the step; so the noise of a step is independent of its command, as with a real driver.
 
     Parameters
     ----------
     motion : NamedTuple
-        A motion table with ``mean`` (T, 3 or more); the correction is **added to it in place**.
+        A motion table.
+    mean : ndarray, shape (T, 3 or more)
+        The mean of its increments, as the table holds it; the correction is **added to it in place**.
     rng : numpy.random.Generator
         Source of randomness.
     first : ndarray, shape (D,)
@@ -56,10 +58,10 @@ def steered_path(motion, rng, first, reference, pull, swerve):
         aside = dy * c - dx * s
         correction[t, 1] = 0.0 if swerve != 0.0 else pull * aside
         # A robot that reverses comes back to the left by turning to the right.
-        ahead = 1.0 if motion.mean[t, 0] >= 0.0 else -1.0
+        ahead = 1.0 if mean[t, 0] >= 0.0 else -1.0
         correction[t, 2] = pull * (reference[t - 1, 2] - heading) + swerve * ahead * aside
         for d in range(3):
-            motion.mean[t, d] += correction[t, d]
+            mean[t, d] += correction[t, d]
         for d in range(size):
             previous[d, 0] = path[t - 1, d]
         propagate(motion, t, rng, previous, current, scratch)

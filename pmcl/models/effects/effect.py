@@ -12,6 +12,7 @@ import numpy as np
 from pmcl.errors import ModelError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.editing import settled
+from pmcl.models.motions.joined.table import joined_tables, parts_of_joined
 from pmcl.models.parameters import Parameter, prior_support
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
@@ -185,7 +186,13 @@ class Effect:
         ModelError
             When the tables are not of a kind that the effect can edit.
         """
-        return settled(self.change(tables, np.asarray(values, dtype=float), log, self.where), tables, self.name)
+        own, seams = parts_of_joined(tables)
+        edited = settled(self.change(own, np.asarray(values, dtype=float), log, self.where), own, self.name)
+        if seams is None:
+            return edited
+        if edited.motion is own.motion and edited.start is own.start:
+            return edited._replace(motion=tables.motion)
+        return joined_tables(edited, seams)
 
     def applies(self, log: RobotLog) -> bool:
         """Return whether a log can show the effect: it has the readings or the motion that the effect is about."""

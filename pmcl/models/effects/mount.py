@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 from pmcl.geometry import wrap
+from pmcl.logs.joined import first_rows
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.editing import edit_beams, edit_landmarks, edit_lidars
 from pmcl.models.effects.effect import Effect, Where
@@ -92,6 +93,7 @@ def _moved_back(path: Float, values: Float, log: RobotLog) -> Float:
 def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     pause = np.diff(log.times)
     lag = np.concatenate([[0.0], values[0] / pause])
+    lag[first_rows(log)] = 0.0  # what a joined log read at first is not of where another one ended
 
     def edit(table: Any) -> dict[str, Any]:
         return {"lag": table.lag + lag}

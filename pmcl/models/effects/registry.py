@@ -309,7 +309,7 @@ def told_by_line(function: Callable[..., Any], file: Path) -> Callable[..., Any]
 def _told_by_line(effect: Effect, file: Path) -> Effect:
     functions: dict[str, Any] = {
         name: _Located(getattr(effect, name), file)
-        for name in ("change", "needs", "places", "fitted", "tells")
+        for name in ("change", "needs", "places", "fitted", "tells", "carries")
         if getattr(effect, name) is not None
     }
     return replace(effect, **functions)

@@ -17,7 +17,6 @@ from pmcl.engine.linear_readings import (
     empty_readings,
     inlier_share,
     pack_readings,
-    reading_poses,
     same_fields,
     times_of,
 )
@@ -25,6 +24,7 @@ from pmcl.geometry import wrap
 from pmcl.models.sensor import ReadingIndex
 from pmcl.models.sensors.landmarks.kernels.plain import ideal_sightings
 from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
+from pmcl.models.sensors.late_readings import reading_poses
 
 __all__ = ["covariates", "empty_like", "ideal", "linearise", "moved_linearisation", "relative_positions"]
 

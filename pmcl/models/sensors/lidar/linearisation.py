@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.engine.linear_readings import earlier_part, reading_poses, times_of
+from pmcl.engine.linear_readings import earlier_part, times_of
+from pmcl.models.sensors.late_readings import reading_poses
 from pmcl.models.sensors.lidar.geometry import lengths_along, ray_origins
 from pmcl.models.sensors.lidar.table import BEAM, LidarTable
 from pmcl.models.sensors.lidar.walls import walls_of

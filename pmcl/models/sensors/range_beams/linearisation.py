@@ -15,10 +15,10 @@ from pmcl.engine.linear_readings import (
     empty_readings,
     inlier_share,
     pack_readings,
-    reading_poses,
     same_fields,
     times_of,
 )
+from pmcl.models.sensors.late_readings import reading_poses
 from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
 from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, RangeExtras
 
