@@ -35,6 +35,7 @@ from pmcl.filtering.particle_filter import log_joint as log_density
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
+from pmcl.sampling.marginals import Marginals
 from pmcl.sampling.transforms import Unconstrained
 
 __all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "transport_moves"]
@@ -59,11 +60,14 @@ class Proposal:
     centre, spread : ndarray, shape (d,) and (d, d), optional
         Independent proposal: multivariate t around `centre` with scale matrix ``spread @ spread.T``, `spread` lower
         triangular; without it all moves are random walks.
+    marginals : Marginals, optional
+        Shapes of the parameters: the t is then one of the values that are normal under them.
     """
 
     root: Float
     centre: Float | None = None
     spread: Float | None = None
+    marginals: Marginals | None = None
 
     @functools.cached_property
     def _whitening(self) -> Float:
@@ -73,8 +77,26 @@ class Proposal:
     def log_density(self, u: Float) -> float:
         """Return the log density of the independent proposal at u, up to a constant."""
         assert self.centre is not None
+        slope = 0.0
+        if self.marginals is not None:
+            u, slope = self.marginals.to_normal(u), float(self.marginals.log_slope(u))
         z = self._whitening @ (u - self.centre)
-        return -0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
+        return slope - 0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
+
+    def independent(self, normal: Float, stretch: float) -> Float:
+        """Return an independent proposal.
+
+        Parameters
+        ----------
+        normal : ndarray, shape (d,)
+            Standard normals.
+        stretch : float
+            By how much a draw of the t is farther from its centre than one of a normal distribution.
+        """
+        assert self.centre is not None
+        assert self.spread is not None
+        value = self.centre + stretch * (self.spread @ normal)
+        return value if self.marginals is None else self.marginals.from_normal(value)
 
 
 class Schedule(NamedTuple):
@@ -315,8 +337,8 @@ def transport_moves(
         kind = _WALK if proposal.centre is None or walks[move] else _JUMP
         proposed[kind] += 1
         log_forward = log_back = 0.0
-        if kind == _JUMP and proposal.centre is not None and proposal.spread is not None:
-            u_new = proposal.centre + stretch[move] * (proposal.spread @ normal[move])
+        if kind == _JUMP:
+            u_new = proposal.independent(normal[move], stretch[move])
             log_here = proposal.log_density(u) if log_here is None else log_here
             log_forward, log_back = proposal.log_density(u_new), log_here
         else:

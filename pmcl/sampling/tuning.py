@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pmcl.errors import SamplingError
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
+from pmcl.sampling.marginals import marginals_of
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
@@ -164,11 +165,13 @@ def tuned_transports(
     else:
         u = transform.to_line(thetas)[:, np.unique(source)]
         within = (u - u.mean(axis=0)).reshape(-1, d)
-        overall = (u - u.mean(axis=(0, 1))).reshape(-1, d)
+        marginals = marginals_of(u.reshape(-1, d))
+        normal = marginals.to_normal(u.reshape(-1, d))
+        overall = normal - normal.mean(axis=0)
         jitter = 1e-8 * np.eye(d)
         root = 2.38 / math.sqrt(d) * np.linalg.cholesky(within.T @ within / within.shape[0] + jitter)
         spread = np.linalg.cholesky(overall.T @ overall / overall.shape[0] + jitter)
-        proposal = Proposal(root, u.mean(axis=(0, 1)), spread)
+        proposal = Proposal(root, normal.mean(axis=0), spread, marginals)
     transports = []
     for k in source:
         reference = included(bound, paths[k], max(bound.lengths))

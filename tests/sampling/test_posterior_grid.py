@@ -19,6 +19,7 @@ from oracles.random_walk_model import rail_log, rail_model
 from oracles.sweeps import first_state, run_chain, run_chains
 
 from pmcl.filtering.particle_filter import make_rng, update_path
+from pmcl.sampling.marginals import Marginals
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.sweep import SweepSettings, step
 from pmcl.sampling.transport import Proposal, Schedule, linearised_at
@@ -70,11 +71,15 @@ def _deviations(bound, exact, made):
     return np.concatenate([z, z**2 - 1.0, product, _score(bound, thetas, paths)], axis=-1)
 
 
-def _off(bound, exact, settings, seeds, draws, *, transported=False, step=step, schedule=Schedule()):  # noqa: B008
+def _off(
+    bound, exact, settings, seeds, draws, *, transported=False, step=step, schedule=Schedule(), marginals=None,  # noqa: B008
+):  # fmt: skip
     transport = None
     if transported:
         root = np.linalg.cholesky([[0.1, -0.06], [-0.06, 0.1]])
         proposal = Proposal(1.5 * root, np.log([0.5, 0.45]), root)
+        if marginals is not None:
+            proposal = Proposal(1.5 * root, np.zeros(2), np.linalg.cholesky([[1.0, -0.6], [-0.6, 1.0]]), marginals)
         transport = linearised_at(bound, np.array([0.5, 0.4]), [np.full((T, 1), 50.0)], proposal, schedule)
     state = first_state(bound, np.array([0.5, 0.4]), np.full((T, 1), 50.0))
     _chain(bound, settings, transport, state, 2, step, 0)  # compiles here, not in each process
@@ -109,6 +114,28 @@ def test_sweeps_that_seldom_use_particles_have_it_too(bound, exact, seeds):
     off, sharpness = _off(bound, exact, settings, seeds, 2200, transported=True, schedule=schedule)
     assert sharpness.min() >= SHARPNESS, sharpness.round(1)
     assert np.abs(off).max() <= TOLERANCE, off.round(1)
+
+
+class ForgottenSlope(Marginals):
+    """Shapes whose proposals are not corrected for."""
+
+    def log_slope(self, u):
+        return np.asarray(0.0)
+
+
+SHAPES = (np.log([0.5, 0.45]), np.array([0.3, 0.35]), np.array([0.5, -0.7]), np.array([0.8, 1.2]))
+
+
+@pytest.mark.slow
+def test_sweeps_whose_proposals_have_a_shape_have_it_too(bound, exact, seeds):
+    """Proposals more skewed than the posterior, and to the other side: only their correction makes them right."""
+    schedule = Schedule(walk_share=0.2, path_share=0.2)
+    settings, law = SweepSettings("conditional", 20, 3, 5), {"transported": True, "schedule": schedule}
+    off, sharpness = _off(bound, exact, settings, seeds, 2200, **law, marginals=Marginals(*SHAPES))
+    assert sharpness.min() >= SHARPNESS, sharpness.round(1)
+    assert np.abs(off).max() <= TOLERANCE, off.round(1)
+    off, _ = _off(bound, exact, settings, seeds, 1200, **law, marginals=ForgottenSlope(*SHAPES))
+    assert np.abs(off).max() > TOLERANCE, off.round(1)
 
 
 @pytest.mark.long
