@@ -212,44 +212,101 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
 
 @path_reading_logpdf.register(LandmarkSightings, NoExtras)
 def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
-    sine, cosine = scratch[0], scratch[1]
-    sincos_into(path[2], sine, cosine)
-    time, landmark, position = sensor.time, sensor.landmark, sensor.position
-    mount_x, mount_y, mount_yaw = sensor.sensor_pose[0], sensor.sensor_pose[1], sensor.sensor_pose[2]
-    ranges, bearings, sizes, shares = sensor.range, sensor.bearing, sensor.size, sensor.outlier_weight
-    range_scale, range_bias, range_std = sensor.range_scale, sensor.range_bias, sensor.range_std
-    bearing_bias, bearing_std = sensor.bearing_bias, sensor.bearing_std
-    size_constant, size_std = sensor.size_constant, sensor.size_std
-    log_max_range = math.log(sensor.max_range)
-    x, y = path[0], path[1]
-    for k in range(sensor.first[n_steps]):
-        t, j = time[k], landmark[k]
-        c, s = cosine[t], sine[t]
-        dx, dy = position[j, 0] - x[t], position[j, 1] - y[t]
-        ahead, aside = dx * c + dy * s - mount_x, dy * c - dx * s - mount_y
-        square = ahead * ahead + aside * aside
+    """Evaluate as many sightings at once as the scratch space has columns, one kind of reading after the other."""
+    sincos_into(path[2], scratch[0], scratch[1])
+    stop, width = sensor.first[n_steps], scratch.shape[1]
+    for begin in range(0, stop, width):
+        count = min(width, stop - begin)
+        square, angle, value = scratch[2, :count], scratch[3, :count], scratch[4, :count]
+        scale, work = scratch[5, :count], scratch[6, :count]
+        _places(sensor, begin, path, scratch[0], scratch[1], square, angle, value, scale)
+        some_sizes, some_gross = False, False
+        for i in range(count):
+            value[i], scale[i] = 0.0, 1.0
+            j = sensor.landmark[begin + i]
+            some_sizes |= not math.isnan(sensor.size[begin + i])
+            some_gross |= sensor.outlier_weight[j] > 0.0
         # Products of standard deviations are gathered so that one logarithm serves all channels.
-        value, scale, outlier = 0.0, 1.0, 0.0
-        if not math.isnan(ranges[k]):
-            r = (ranges[k] - range_bias[j] - range_scale[j] * math.sqrt(square)) / range_std[j]
-            value -= 0.5 * r * r + HALF_LOG_2PI
-            scale *= range_std[j]
-            outlier -= log_max_range
-        if not math.isnan(sizes[k]):
-            ideal = size_constant[j] / square
-            r = (sizes[k] / ideal - 1.0) / size_std[j]
-            value -= 0.5 * r * r + HALF_LOG_2PI
-            scale *= size_std[j] * ideal
-            outlier -= math.log(size_constant[j])
-        if not math.isnan(bearings[k]):
-            r = wrap_angle(bearings[k] - bearing_bias[j] + mount_yaw - math.atan2(aside, ahead)) / bearing_std[j]
-            value -= 0.5 * r * r + HALF_LOG_2PI
-            scale *= bearing_std[j]
-            outlier -= LOG_2PI
-        value -= math.log(scale)
-        if shares[j] > 0.0:
-            value = math.log((1.0 - shares[j]) * math.exp(value) + shares[j] * math.exp(outlier))
-        logp[t] += value
+        _add_ranges(sensor, begin, square, value, scale)
+        _add_bearings(sensor, begin, angle, value, scale)
+        if some_sizes:
+            _add_sizes(sensor, begin, square, value, scale)
+        log_into(scale, work)
+        for i in range(count):
+            value[i] -= work[i]
+        if some_gross:
+            _mix_gross_errors(sensor, begin, value, scale, work)
+        for i in range(count):
+            logp[sensor.time[begin + i]] += value[i]
+
+
+@kernel
+def _places(sensor, begin, path, sine, cosine, square, angle, ahead, aside):
+    """Write squared distance and bearing of sightings begin ... along a path; `ahead` and `aside` are work space."""
+    mount_x, mount_y = sensor.sensor_pose[0], sensor.sensor_pose[1]
+    x, y = path[0], path[1]
+    some_bearings = False
+    for i in range(square.size):
+        t, j = sensor.time[begin + i], sensor.landmark[begin + i]
+        dx, dy = sensor.position[j, 0] - x[t], sensor.position[j, 1] - y[t]
+        ahead[i] = dx * cosine[t] + dy * sine[t] - mount_x
+        aside[i] = dy * cosine[t] - dx * sine[t] - mount_y
+        some_bearings |= not math.isnan(sensor.bearing[begin + i])
+    for i in range(square.size):
+        square[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
+    if some_bearings:
+        atan2_into(aside, ahead, angle)
+
+
+@kernel
+def _add_ranges(sensor, begin, square, value, scale):
+    for i in range(square.size):
+        z, j = sensor.range[begin + i], sensor.landmark[begin + i]
+        r = (z - sensor.range_bias[j] - sensor.range_scale[j] * math.sqrt(square[i])) / sensor.range_std[j]
+        measured = not math.isnan(z)
+        value[i] -= (0.5 * r * r + HALF_LOG_2PI) if measured else 0.0
+        scale[i] *= sensor.range_std[j] if measured else 1.0
+
+
+@kernel
+def _add_bearings(sensor, begin, angle, value, scale):
+    yaw = sensor.sensor_pose[2]
+    for i in range(angle.size):
+        z, j = sensor.bearing[begin + i], sensor.landmark[begin + i]
+        if not math.isnan(z):
+            r = wrap_angle(z - sensor.bearing_bias[j] + yaw - angle[i]) / sensor.bearing_std[j]
+            value[i] -= 0.5 * r * r + HALF_LOG_2PI
+            scale[i] *= sensor.bearing_std[j]
+
+
+@kernel
+def _add_sizes(sensor, begin, square, value, scale):
+    for i in range(square.size):
+        z, j = sensor.size[begin + i], sensor.landmark[begin + i]
+        if not math.isnan(z):
+            ideal = sensor.size_constant[j] / square[i]
+            r = (z / ideal - 1.0) / sensor.size_std[j]
+            value[i] -= 0.5 * r * r + HALF_LOG_2PI
+            scale[i] *= sensor.size_std[j] * ideal
+
+
+@kernel
+def _mix_gross_errors(sensor, begin, value, density, work):
+    """Replace the log density of sound sightings by that of the mixture with gross errors."""
+    exp_into(value, 0.0, density)
+    log_max_range = math.log(sensor.max_range)
+    for i in range(value.size):
+        k = begin + i
+        j = sensor.landmark[k]
+        weight, outlier = sensor.outlier_weight[j], 0.0
+        outlier -= 0.0 if math.isnan(sensor.range[k]) else log_max_range
+        outlier -= 0.0 if math.isnan(sensor.size[k]) else math.log(sensor.size_constant[j])
+        outlier -= 0.0 if math.isnan(sensor.bearing[k]) else LOG_2PI
+        density[i] = (1.0 - weight) * density[i] + weight * math.exp(outlier)
+    log_into(density, work)
+    for i in range(value.size):
+        if sensor.outlier_weight[sensor.landmark[begin + i]] > 0.0:
+            value[i] = work[i]
 
 
 @linear_information.register(LandmarkSightings, NoExtras)
