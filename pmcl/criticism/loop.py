@@ -193,6 +193,9 @@ class Loop:
                     self._record(last, outcome.trials, "nothing unusual")
                     break
                 outcome = self.search.explain(last, current)
+            if self.search.refuted(outcome):
+                self.settings.tell("the answer does not explain all of it: trying every other candidate")
+                outcome = self.search.explain(last, current, refuted=outcome)
             self._nothing_is(outcome.probable.nothing)
             if outcome.accepted is None:
                 self._record(last, outcome.trials, "nothing known explains it")

@@ -15,7 +15,7 @@ from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
 from pmcl.criticism.fitting.spare_effects import without_spare_effects
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
 from pmcl.criticism.naming.candidates import RankedEffect, by_score, in_order, of_carrier, of_sensors, twins_of, untried
-from pmcl.criticism.scoring.scores import directions_of
+from pmcl.criticism.scoring.scores import directions_of, instance_key
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
@@ -54,7 +54,7 @@ def test_of_a_twin_with_many_places_the_likeliest_is_refitted():
 
 def test_nothing_is_refitted_twice():
     log = simulate_landmark_field(60, 1, bearings=True)
-    tried = [SimpleNamespace(effect=effect_named(name, log)) for name in ("sensor-yaw", "bearing-bias")]
+    tried = {instance_key(effect_named(name, log)) for name in ("sensor-yaw", "bearing-bias")}
     offered = [RankedEffect(effect_named(name, log), 1.0) for name in ("sensor-yaw", "landmark-range-bias")]
     assert [one.effect.name for one in untried(offered, tried)] == ["landmark-range-bias"]
 

@@ -153,6 +153,66 @@ def test_where_the_likeliest_explain_nothing_further_candidates_are_tried_unless
     assert len(set(case.names("glance"))) == len(case.names("glance"))  # nothing is fitted again
 
 
+def test_where_nothing_explains_the_log_also_what_its_scores_speak_against_is_tried(monkeypatch):
+    """A base model that makes up for a large effect by large noise has a score that says the effect is absent."""
+    case = Case(monkeypatch, gains(landmark_misread=500.0), {"landmark-misread": -4.0})
+    order = search.by_score(case.search.directions, case.last.judgement)
+    assert not next(one for one in order if one.effect.name == "landmark-misread").worth_a_fit
+    assert case.explain(further=False).accepted is None
+    outcome = case.explain()
+    assert outcome.found.name == "landmark-misread"
+    assert {one.effect.name for one in order} <= set(case.names("glance"))
+
+
+def test_a_refuted_answer_competes_with_all_other_candidates_at_all_places(monkeypatch):
+    """A patch has evidence at the place whose score promises most, and far more at another, which no fit reaches."""
+
+    def evidence(effect):
+        if effect.name == "slippery-patch":
+            return 900.0 if effect.where["place"] == true_place else 20.0
+        return {"landmark-range-bias": 60.0}.get(effect.name, -5.0)
+
+    case = Case(monkeypatch, evidence, {"landmark-range-bias": 9.0, "slippery-patch": 0.1})
+    places = [one.effect.where["place"] for one in case.search.directions if one.effect.name == "slippery-patch"]
+    true_place = places[-1]
+    outcome = case.explain()
+    assert outcome.found.name == "landmark-range-bias"
+    assert not outcome.exhausted
+    assert len(case.names("glance")) < search._BATCH + 6
+    case.done.clear()
+    again = case.search.explain(case.last, trial_of(None, effort=THOROUGH), refuted=outcome)
+    assert again.found.name == "slippery-patch"
+    assert again.accepted.effect.where["place"] == true_place
+    assert again.exhausted
+    assert "landmark-range-bias" not in case.names("glance")  # it was fitted before
+    # An effect that moves and explains nothing where its score is best is not tried elsewhere.
+    lost = Case(monkeypatch, gains(landmark_range_bias=60.0), {"landmark-range-bias": 9.0})
+    answer = lost.explain()
+    lost.search.explain(lost.last, trial_of(None, effort=THOROUGH), refuted=answer)
+    assert lost.names("glance").count("slippery-patch") == 1
+
+
+@pytest.mark.parametrize(
+    ("alarms", "p_value", "refuted"), [((), 0.3, False), (("score",), 1e-3, False), (("score",), 1e-12, True)]
+)
+def test_an_answer_is_refuted_by_an_alarm_beyond_doubt_and_judged_once(monkeypatch, alarms, p_value, refuted):
+    case = Case(monkeypatch, gains(landmark_misread=60.0), {"landmark-misread": 7.0})
+    outcome, judged = case.explain(), []
+    judgement = SimpleNamespace(raised=alarms, p_value=p_value)
+    result = SimpleNamespace(judgement=judgement, scored=None)
+    monkeypatch.setattr(search, "judge_log", lambda *_: judged.append(1) or result)
+    monkeypatch.setattr(case.search, "_directions_without", lambda fit: ())
+    outcome = outcome._replace(accepted=replace(outcome.accepted, fit=SimpleNamespace()))
+    assert case.search.refuted(outcome) is refuted
+    assert case.search.judge(outcome.accepted.fit).judgement is judgement
+    assert len(judged) == 1
+    case.search.judge(outcome.accepted.fit)
+    assert len(judged) == 2
+    assert not case.search.refuted(outcome._replace(exhausted=True))
+    assert not case.search.refuted(outcome._replace(accepted=None))
+    assert len(judged) == 2
+
+
 @pytest.mark.parametrize(("evidence", "accepted"), [(-3.0, False), (2.5, False), (12.0, True)])
 def test_a_suspicion_counts_only_if_its_evidence_is_clear(monkeypatch, evidence, accepted):
     """Without an alarm: what the scores as they are suspect is fitted, with its twins, and nothing else is."""

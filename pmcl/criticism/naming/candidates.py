@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,10 @@ from pmcl.criticism.naming.probability import evidence_of_scores
 from pmcl.criticism.scoring.scores import Direction, instance_key
 from pmcl.models.effects.effect import Effect
 
-__all__ = ["RankedEffect", "are_near_twins", "by_score", "in_order", "of_carrier", "of_sensors", "twins_of", "untried"]
+__all__ = [
+    "RankedEffect", "are_near_twins", "by_score", "in_order", "of_carrier", "of_sensors", "other_places", "twins_of",
+    "untried",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 
@@ -133,17 +136,42 @@ def twins_of(effects: Sequence[Effect], candidates: Sequence[RankedEffect]) -> l
     return list(twins.values())
 
 
-def untried(candidates: Sequence[RankedEffect], trials: Sequence[Trial]) -> list[RankedEffect]:
+def other_places(
+    trials: Sequence[Trial], directions: Sequence[Direction], judgement: Judgement
+) -> list[RankedEffect]:
+    """Return all places of those effects that move to their place in a fit and have evidence at one that was tried.
+
+    A fit moves such an effect by some of its size, not through the room.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        What was refitted.
+    directions : sequence of Direction
+        All K directions.
+    judgement : Judgement
+        Tests of the log with their scores.
+    """
+    names = {trial.effect.name for trial in trials if trial.effect is not None and trial.evidence > 0.0}
+    places: dict[object, RankedEffect] = {}
+    for k, direction in enumerate(directions):
+        if direction.effect.shape and direction.effect.name in names:
+            places.setdefault(
+                instance_key(direction.effect), RankedEffect(direction.effect, float(judgement.z[k]))
+            )
+    return list(places.values())
+
+
+def untried(candidates: Sequence[RankedEffect], tried: Collection[object]) -> list[RankedEffect]:
     """Return those candidates that were not refitted yet.
 
     Parameters
     ----------
     candidates : sequence of RankedEffect
         Candidates.
-    trials : sequence of Trial
-        What was refitted.
+    tried : collection
+        Keys of what was refitted, or could not be (:func:`pmcl.criticism.scoring.scores.instance_key`).
     """
-    tried = {instance_key(trial.effect) for trial in trials if trial.effect is not None}
     return [candidate for candidate in candidates if instance_key(candidate.effect) not in tried]
 
 

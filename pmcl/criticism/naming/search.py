@@ -9,7 +9,10 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
 3. Formulas compete with the effects of the catalogue, unless an alarm is in doubt that none of these explains.
 4. The search goes on with further candidates until the effects that were tried have nearly all probability, or until
    all candidates were tried.
-5. The most probable effect is the answer, with those that may be meant instead.
+5. The most probable effect is the answer, with those that may be meant instead. If the log raises alarms under the
+   model with it, too, something may have more evidence that was not tried: scores tell what a small effect is worth,
+   and a fit without a large one bends them. All other candidates are then fitted at a glance, also at other places, and
+   compete with it.
 
 Where no alarm is raised, the effects that may be right by their scores as they are go the same way, and count only if
 they have nearly all probability.
@@ -27,8 +30,15 @@ from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.judging.judged_log import JudgedLog, judge_log, with_more_simulations
-from pmcl.criticism.naming.candidates import RankedEffect, are_near_twins, by_score, twins_of, untried
+from pmcl.criticism.judging.judged_log import JudgedLog, in_doubt, judge_log, with_more_simulations
+from pmcl.criticism.naming.candidates import (
+    RankedEffect,
+    are_near_twins,
+    by_score,
+    other_places,
+    twins_of,
+    untried,
+)
 from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
 from pmcl.criticism.naming.lost_robot import Recovery, recover
 from pmcl.criticism.naming.probability import LEAST_LISTED, Explanations, explanations, suspects, with_probabilities
@@ -64,6 +74,10 @@ class Outcome(NamedTuple):
         How probable each explanation is.
     credible : tuple of Trial
         The effects that may be meant, the accepted one first; empty where none was accepted.
+    formulas : FormulaCandidates or None
+        Formulas that competed.
+    exhausted : bool
+        Whether nothing is left that was not tried.
     """
 
     accepted: Trial | None
@@ -71,6 +85,8 @@ class Outcome(NamedTuple):
     trials: list[Trial]
     probable: Explanations
     credible: tuple[Trial, ...] = ()
+    formulas: FormulaCandidates | None = None
+    exhausted: bool = False
 
     @property
     def certain(self) -> bool:
@@ -100,6 +116,7 @@ class Search:
         self.refits = Refits(log, settings)
         self.directions: tuple[Direction, ...] = ()
         self.judged: JudgedLog
+        self._ahead: tuple[Fit, JudgedLog] | None = None
 
     @property
     def settings(self) -> Settings:
@@ -121,9 +138,31 @@ class Search:
     def judge(self, fit: Fit) -> JudgedFit:
         """Judge the log under a fit."""
         self.directions = self._directions_without(fit)
-        self.judged = judge_log(self.log, fit, self.directions, self.settings)
+        if self._ahead is not None and self._ahead[0] is fit:
+            self.judged = self._ahead[1]
+        else:
+            self.judged = judge_log(self.log, fit, self.directions, self.settings)
+        self._ahead = None
         self.refits.forget()
         return JudgedFit(fit, self.judged.scored, self.judged.judgement)
+
+    def refuted(self, outcome: Outcome) -> bool:
+        """Return whether the log raises an alarm, beyond doubt, also under the model that a search has accepted.
+
+        It is not asked where nothing is left to be tried. The judgement is kept for :meth:`judge`, so that it costs
+        nothing if the answer stays.
+
+        Parameters
+        ----------
+        outcome : Outcome
+            Result of the search.
+        """
+        if outcome.accepted is None or outcome.exhausted:
+            return False
+        fit = outcome.accepted.fit
+        judged = judge_log(self.log, fit, self._directions_without(fit), self.settings)
+        self._ahead = (fit, judged)
+        return bool(judged.judgement.raised) and not in_doubt(judged.judgement)
 
     def judge_again(self, last: JudgedFit) -> JudgedFit:
         """Judge a model with more simulated logs; refitted candidates are kept."""
@@ -191,7 +230,12 @@ class Search:
         return outcome if outcome.certain else None
 
     def explain(
-        self, last: JudgedFit, current: Trial, further: bool = True, first: Sequence[RankedEffect] | None = None
+        self,
+        last: JudgedFit,
+        current: Trial,
+        further: bool = True,
+        first: Sequence[RankedEffect] | None = None,
+        refuted: Outcome | None = None,
     ) -> Outcome:
         """Look for the effect that explains the alarms of a model.
 
@@ -205,17 +249,28 @@ class Search:
             Whether to go on if the likeliest candidates do not explain the alarms.
         first : sequence of RankedEffect, optional
             Candidates that are fitted first, instead of those whose scores promise most.
+        refuted : Outcome, optional
+            An answer that cannot be all: every other candidate competes with it.
         """
         candidates = by_score(self.directions, last.judgement)
-        formulas: FormulaCandidates | None = None
-        trials: list[Trial] = []
+        formulas = refuted.formulas if refuted is not None else None
+        trials = list(refuted.trials) if refuted is not None else []
+        tried = {instance_key(_effect(trial)) for trial in trials}
         probable = self._explanations(last, current, trials, formulas)
+
+        def rest() -> list[RankedEffect]:
+            """Return what was not tried: first what each effect promises most, then other places of what may move."""
+            elsewhere = other_places(trials, self.directions, last.judgement)
+            return untried(candidates, tried) or untried(elsewhere, tried)
+
         worth_a_fit = [one for one in candidates if one.worth_a_fit]
-        chosen = worth_a_fit[:_BATCH] if first is None else list(first)
+        usual = worth_a_fit[:_BATCH] if first is None else list(first)
+        chosen = usual if refuted is None else rest()
         while chosen:
+            tried |= {instance_key(one.effect) for one in chosen}
             trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
             probable = self._explanations(last, current, trials, formulas)
-            chosen = twins_of(probable.may_be_right, untried(candidates, trials))
+            chosen = twins_of(probable.may_be_right, untried(candidates, tried))
             if chosen or not (further or probable.explained):
                 continue
             # Formulas compete whatever the alarm is worth: an effect outside the catalogue looks like one that is in
@@ -223,11 +278,13 @@ class Search:
             if formulas is None:
                 formulas = remarkable_formulas(last, self.judged, self.log, self.settings, _leading(trials, probable))
                 chosen = formulas.chosen
-            if not chosen and not probable.explained:
-                chosen = untried(worth_a_fit, trials)[:_BATCH]
+            if not chosen and refuted is not None:
+                chosen = rest()
+            elif not chosen and not probable.explained:
+                chosen = (untried(worth_a_fit, tried) or rest())[:_BATCH]
         trials = self._finer(current, trials, probable)
         probable = self._explanations(last, current, trials, formulas)
-        return self._answer(last, trials, probable, formulas)
+        return self._answer(last, trials, probable, formulas)._replace(exhausted=not rest())
 
     def _explanations(
         self, last: JudgedFit, current: Trial, trials: Sequence[Trial], formulas: FormulaCandidates | None = None
@@ -279,13 +336,13 @@ class Search:
         by_key = {instance_key(_effect(trial)): trial for trial in trials}
         credible = [by_key[instance_key(effect)] for effect in probable.credible]
         if not probable.likely:
-            return Outcome(None, None, trials, probable)
+            return Outcome(None, None, trials, probable, formulas=formulas)
         best, *twins = credible
         judgement, directions = last.judgement, self.directions
         if formulas is not None and any(direction.effect is best.effect for direction in formulas.directions):
             judgement, directions = formulas.judgement, formulas.directions
         found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
-        return Outcome(best, found, trials, probable, tuple(credible))
+        return Outcome(best, found, trials, probable, tuple(credible), formulas)
 
 
 def _near_twins_of(effects: Sequence[Effect], others: Sequence[Effect]) -> list[Effect]:
