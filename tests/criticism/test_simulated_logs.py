@@ -90,7 +90,7 @@ def test_noise_of_a_step_is_the_models_and_independent_of_its_command(log):
     noise, correction = [], []
     for seed in range(20):
         motion = tables.motion._replace(mean=tables.motion.mean.copy())
-        path, change = steered_path(motion, make_rng(seed), reference[0], reference, 0.15, 0.0)
+        path, change = steered_path(motion, motion.mean, make_rng(seed), reference[0], reference, 0.15, 0.0)
         noise.append(increment_residuals(motion.mean, path) / theta[:3])
         correction.append(change[1:])
         assert np.abs(path[:, :2] - reference[:, :2]).max() < 12.0 * theta[:2].max()
@@ -117,7 +117,7 @@ def test_a_robot_that_cannot_be_led_aside_is_led_back_by_turns():
         for pull, found in ((0.15, errors), (0.0, free)):
             motion = tables.motion._replace(mean=tables.motion.mean.copy())
             swerve = simulated_logs._swerve(motion.mean) if pull else 0.0
-            path, _ = steered_path(motion, make_rng(seed), reference[0], reference, pull, swerve)
+            path, _ = steered_path(motion, motion.mean, make_rng(seed), reference[0], reference, pull, swerve)
             found.append(np.hypot(*(path[-50:, :2] - reference[-50:, :2]).T).max())
     assert np.median(errors) < 0.3 * np.median(free)
 
