@@ -103,16 +103,18 @@ def criticize_all(folder: Path, most: int | None, joint: bool) -> None:
 
 
 class FirstName(logging.Handler):
-    """Listens to the progress of a run for the moment at which the first effect is named."""
+    """Listens to the progress of a run for the moment at which the first effect has the name that it keeps."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.started, self.seconds = time.process_time(), float("nan")
+        self.started, self.seconds, self.added = time.process_time(), float("nan"), False
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take the time of a step of the run."""
         message = record.getMessage().partition("] ")[2]  # after the elapsed time
-        if message.startswith(("named ", "added ")) and np.isnan(self.seconds):
+        if message.startswith("added "):
+            self.added = True
+        if message.startswith(("named ", "added ")) and (np.isnan(self.seconds) or not self.added):
             self.seconds = time.process_time() - self.started
 
     def __enter__(self) -> "FirstName":

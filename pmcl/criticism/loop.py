@@ -171,11 +171,13 @@ class Loop:
             shown = self.search.effect_shown_by_data(last, current) if number < rounds else None
             if shown is not None:
                 self._nothing_is(0.0)
+                self._tell_name(shown)
                 last = self._accept(last, shown, "add {}: the data show it")
                 continue
             suspicion = None if alarms or number == rounds else self.search.explain_suspicion(last, current)
             if suspicion is not None:
                 self._nothing_is(suspicion.probable.nothing)
+                self._tell_name(suspicion)
                 last = self._accept(last, suspicion, "add {}: its evidence is clear, though it raised no alarm")
                 continue
             if not alarms or number == rounds:
@@ -193,9 +195,12 @@ class Loop:
                     self._record(last, outcome.trials, "nothing unusual")
                     break
                 outcome = self.search.explain(last, current)
+            self._tell_name(outcome)
             if self.search.refuted(outcome):
-                self.settings.tell("the answer does not explain all of it: trying every other candidate")
-                outcome = self.search.explain(last, current, refuted=outcome)
+                self.settings.tell("that does not explain all of it: trying every other candidate")
+                first_answer, outcome = outcome.accepted, self.search.explain(last, current, refuted=outcome)
+                if outcome.accepted is not first_answer:
+                    self._tell_name(outcome)
             self._nothing_is(outcome.probable.nothing)
             if outcome.accepted is None:
                 self._record(last, outcome.trials, "nothing known explains it")
@@ -252,16 +257,21 @@ class Loop:
             finer = FINER if particles < 4 * self.settings.particles else FINER // 2
             self.search.use_particles(particles, finer)
 
+    def _tell_name(self, outcome: Outcome) -> None:
+        """Tell the user what a search has found, before it takes its time to judge the model with it."""
+        if outcome.accepted is not None and outcome.found is not None:
+            self.settings.tell(
+                f"named {with_place(outcome.found)}: {outcome.accepted.evidence:+.1f} nats of evidence",
+                "judging the model with it",
+            )
+
     def _accept(self, last: JudgedFit, outcome: Outcome, decision: str) -> JudgedFit:
         """Add the effect that a search accepted; return the model with it, judged."""
         assert outcome.accepted is not None
         assert outcome.found is not None
         name, found = outcome.found.name, outcome.found
-        self.settings.tell(
-            f"named {with_place(outcome.found)}: {outcome.accepted.evidence:+.1f} nats of evidence",
-            "looking for the drive that would tell it from its near twins" if found.not_distinguishable_from else "",
-        )
         if found.not_distinguishable_from:
+            self.settings.tell("looking for the drive that would tell it from its near twins")
             seed = stream_seed(self.settings.seed, "what to record next")
             drive = next_drive(outcome.credible, self.log, particles=self.settings.particles, seed=seed)
             found = replace(found, record_next=drive)
