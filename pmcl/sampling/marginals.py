@@ -20,9 +20,10 @@ __all__ = ["Marginals", "marginals_of"]
 
 Float = NDArray[np.float64]
 
-# Greatest skewness, and least and greatest tail parameter (chosen by hand): a handful of odd draws must not make a
-# proposal that leads nowhere. A noise that may be nearly zero has a skewness of -0.6.
-_MOST_SKEW, _TAILS = 1.5, (0.4, 2.5)
+# Greatest skewness (chosen by hand; a noise that may be nearly zero has -0.6), and least and greatest tail parameter.
+# Tails are never taken to be lighter than normal ones: a few hundred draws may lack a tail, and a chain that comes into
+# a tail that its proposals lack stays there.
+_MOST_SKEW, _TAILS = 1.0, (0.4, 1.0)
 
 
 class Marginals(NamedTuple):

@@ -49,3 +49,10 @@ def test_few_and_odd_draws_give_a_shape(values):
     there = fitted.from_normal(np.array([[-2.0], [0.0], [2.0]]))
     assert np.isfinite(there).all()
     assert (np.diff(there[:, 0]) > 0.0).all()
+
+
+def test_tails_are_never_lighter_than_normal_ones():
+    """Draws that lack their tails must not make proposals that lack them: chains would stay where those never lead."""
+    fitted = marginals_of(np.random.default_rng(6).uniform(-1.0, 1.0, (240, 1)))
+    assert fitted.tail[0] <= 1.0
+    assert np.abs(fitted.from_normal(np.array([[-4.0], [4.0]]))).min() > 1.5
