@@ -74,28 +74,28 @@ class Proposal:
         assert self.spread is not None
         return np.asarray(solve_triangular(self.spread, np.eye(self.spread.shape[0]), lower=True))
 
-    def log_density(self, u: Float) -> float:
-        """Return the log density of the independent proposal at u, up to a constant."""
+    def log_density(self, u: Float) -> Float:
+        """Return the log density of the independent proposal at u (..., d), up to a constant, (...)."""
         assert self.centre is not None
-        slope = 0.0
+        slope: Float | float = 0.0
         if self.marginals is not None:
-            u, slope = self.marginals.to_normal(u), float(self.marginals.log_slope(u))
-        z = self._whitening @ (u - self.centre)
-        return slope - 0.5 * (_FREEDOM + u.size) * math.log1p(float(z @ z) / _FREEDOM)
+            u, slope = self.marginals.to_normal(u), self.marginals.log_slope(u)
+        z = (u - self.centre) @ self._whitening.T
+        return np.asarray(slope - 0.5 * (_FREEDOM + u.shape[-1]) * np.log1p((z * z).sum(axis=-1) / _FREEDOM))
 
-    def independent(self, normal: Float, stretch: float) -> Float:
-        """Return an independent proposal.
+    def independent(self, normal: Float, stretch: Float) -> Float:
+        """Return independent proposals, (n, d).
 
         Parameters
         ----------
-        normal : ndarray, shape (d,)
+        normal : ndarray, shape (n, d)
             Standard normals.
-        stretch : float
-            By how much a draw of the t is farther from its centre than one of a normal distribution.
+        stretch : ndarray, shape (n,)
+            By how much draws of the t are farther from its centre than those of a normal distribution.
         """
         assert self.centre is not None
         assert self.spread is not None
-        value = self.centre + stretch * (self.spread @ normal)
+        value = self.centre + stretch[:, None] * (normal @ self.spread.T)
         return value if self.marginals is None else self.marginals.from_normal(value)
 
 
@@ -331,16 +331,22 @@ def transport_moves(
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
     walks = rng.random(n_moves) < transport.schedule.walk_share
+    if proposal.centre is None:
+        walks[:] = True
+    # Independent proposals do not depend on where the chain is: all of a sweep are made at once.
+    if not walks.all():
+        jumps = proposal.independent(normal, stretch)
+        log_jumps = proposal.log_density(jumps)
     proposed, accepted = [0, 0], [0, 0]
     log_here: float | None = None  # the independent proposal's density at u, once it is needed
     for move in range(n_moves):
-        kind = _WALK if proposal.centre is None or walks[move] else _JUMP
+        kind = _WALK if walks[move] else _JUMP
         proposed[kind] += 1
         log_forward = log_back = 0.0
         if kind == _JUMP:
-            u_new = proposal.independent(normal[move], stretch[move])
-            log_here = proposal.log_density(u) if log_here is None else log_here
-            log_forward, log_back = proposal.log_density(u_new), log_here
+            u_new = jumps[move]
+            log_here = float(proposal.log_density(u)) if log_here is None else log_here
+            log_forward, log_back = float(log_jumps[move]), log_here
         else:
             u_new = u + scale * (proposal.root @ normal[move])
         theta_new, log_jacobian = transform.from_line(u_new)

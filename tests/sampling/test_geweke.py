@@ -132,7 +132,7 @@ def test_a_proposal_without_the_jacobian_of_its_logarithm_is_noticed(bound, dire
 
 @pytest.mark.slow
 def test_independent_proposals_without_their_density_are_noticed(bound, direct, seeds, monkeypatch):
-    monkeypatch.setattr(Proposal, "log_density", lambda self, u: 0.0)
+    monkeypatch.setattr(Proposal, "log_density", lambda self, u: np.zeros(u.shape[:-1]))
     off, _ = _off(bound, direct, 1500, seeds)
     assert np.abs(off).max() > TOLERANCE, off.round(1)
 
