@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from pmcl.errors import LogError
 from pmcl.logs.robot_log import RobotLog
+from pmcl.logs.schema import variables
+from pmcl.maps.occupancy_grid import OccupancyGrid
 
 __all__ = ["Joint", "first_rows", "join_logs", "joints_of", "starts_of_joined"]
 
@@ -139,20 +141,37 @@ def _check_alike(first: RobotLog, log: RobotLog) -> None:
             f"{log.where}: expected the variables of {first.where}, but only one of the two has "
             f"{', '.join(different)}; join logs of one robot with the same sensors"
         )
+    declared = variables(own)
     for name in own.variables:
+        # Such as the greatest range of a sensor, or where a laser is mounted.
+        for key in declared[str(name)].attributes if name in declared else ():
+            one, two = (dataset[name].attrs.get(key) for dataset in (own, its))
+            if not _equal(one, two):
+                raise LogError(
+                    f"{log.where}: expected the {key} of '{name}' as in {first.where}, {one}, but got {two}; join logs "
+                    "of one robot with the same sensors"
+                )
         if "time" in own[name].dims or name in ("start_mean", "start_std"):
             continue
-        if not np.array_equal(own[name].values, its[name].values, equal_nan=own[name].dtype.kind == "f"):
+        if not _equal(own[name].values, its[name].values):
             raise LogError(
                 f"{log.where}: expected the same '{name}' as in {first.where}, but it differs; join logs of one robot "
                 "in the same surroundings"
             )
-    if (first.grid_map is None) != (log.grid_map is None) or (
-        first.grid_map is not None
-        and log.grid_map is not None
-        and not np.array_equal(first.grid_map.cells, log.grid_map.cells)
-    ):
+    if not _same_map(first.grid_map, log.grid_map):
         raise LogError(
             f"{log.where}: expected the grid map of {first.where}, but it differs; join logs of one robot in the same "
             "surroundings"
         )
+
+
+def _equal(value: object, other: object) -> bool:
+    """Return whether two values are equal, NaN at the same places included."""
+    one, two = np.asarray(value), np.asarray(other)
+    return np.array_equal(one, two, equal_nan=one.dtype.kind == two.dtype.kind == "f")
+
+
+def _same_map(grid: OccupancyGrid | None, other: OccupancyGrid | None) -> bool:
+    if grid is None or other is None:
+        return grid is other
+    return grid.resolution == other.resolution and grid.origin == other.origin and _equal(grid.cells, other.cells)

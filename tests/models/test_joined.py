@@ -13,6 +13,8 @@ from pmcl.errors import LogError
 from pmcl.filtering.linearised_evidence import LinearisedEvidence
 from pmcl.filtering.particle_filter import draw_paths, log_joint, make_rng, run_filter
 from pmcl.logs.joined import first_rows, join_logs, joints_of
+from pmcl.logs.robot_log import RobotLog
+from pmcl.maps.occupancy_grid import OCCUPIED, OccupancyGrid
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
 from pmcl.simulations.amigobot import simulate_amigobot
@@ -132,3 +134,21 @@ def test_logs_that_do_not_belong_together_are_refused(rooms):
         join_logs([simulate_landmark_field(60, 1), simulate_landmark_field(60, 2, n_landmarks=9)])
     with pytest.raises(LogError, match="at least one"):
         join_logs([])
+    other = rooms[1].dataset.copy(deep=True)
+    other["range"].attrs["max_range"] = 9.0
+    with pytest.raises(LogError, match=r"the max_range of 'range' .*, but got 9.0; join logs of one robot"):
+        join_logs([rooms[0], RobotLog.from_dataset(other)])
+
+
+@pytest.mark.parametrize("change", [{"resolution": 0.2}, {"origin": (1.0, 0.0, 0.0)}, {"cells": "other"}, None])
+def test_logs_on_different_grid_maps_are_refused(rooms, change):
+    cells = np.zeros((80, 80), dtype=np.uint8)
+    cells[0] = OCCUPIED
+    grid = OccupancyGrid(cells, 0.1, (-2.0, -2.0, 0.0))
+    if change == {"cells": "other"}:
+        change = {"cells": cells.T}
+    other = None if change is None else replace(grid, **change)
+    logs = [RobotLog.trusted(log.dataset, log.where, of) for log, of in zip(rooms[:2], (grid, other), strict=True)]
+    with pytest.raises(LogError, match="expected the grid map"):
+        join_logs(logs)
+    assert join_logs([RobotLog.trusted(log.dataset, log.where, grid) for log in rooms[:2]]).grid_map is grid
