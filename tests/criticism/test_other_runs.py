@@ -70,6 +70,24 @@ def test_an_alarm_in_doubt_is_judged_again_before_everything_is_searched(monkeyp
     assert not result.effects
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("refuted", [True, False])
+def test_what_the_log_refutes_is_not_the_answer_before_all_else_was_tried(monkeypatch, refuted):
+    asked, explain = [], Search.explain
+
+    def explain_or_give_up(search, last, current, further=True, refuted=None):
+        if refuted is not None:
+            asked.append(refuted.found.name)
+            return Outcome(None, None, [], Explanations(0.0, 1.0, (), ()))
+        return explain(search, last, current, further)
+
+    monkeypatch.setattr(Search, "explain", explain_or_give_up)
+    monkeypatch.setattr(Search, "refuted", lambda search, outcome: refuted)
+    result = small(hidden("beam-bias@2=0.1", 120.0), rounds=1)
+    assert asked == (["beam-bias"] if refuted else [])
+    assert [effect.name for effect in result.effects] == ([] if refuted else ["beam-bias"])
+
+
 @pytest.mark.long
 def test_a_filter_that_is_lost_without_an_effect_finds_the_robot_with_it(monkeypatch):
     follow = loop.particles_that_follow

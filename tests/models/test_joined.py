@@ -65,6 +65,26 @@ def test_density_of_joined_logs_is_the_product_of_theirs(rooms, name):
     assert log_joint(joined.tables(theta)[0], np.concatenate(paths)) == pytest.approx(single, rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["odometry-turn-scale", "range-bias", "turn-noise-correlated"])
+def test_an_effect_edits_tables_of_joined_logs_and_leaves_the_seams(rooms, name):
+    """As the critic does to score candidates; a motion that stays as it is stays the same object, scored only once."""
+    log = join_logs(rooms)
+    plain, bound = bound_to(log, ""), bound_to(log, name)
+    theta = values_of(bound, name)
+    (before,), (expected,) = plain.tables(theta[:4]), bound.tables(theta)
+    effect = bound.effects[0]
+    without = effect.edit(before, effect.null, log)
+    # An effect that adds a component to the state adds it each time.
+    for start in (before,) if name == "turn-noise-correlated" else (before, without):
+        tables = effect.edit(start, theta[4:], log)
+        assert type(tables.motion) is type(expected.motion)
+        for found, right in zip(tables.motion.seams[2:], expected.motion.seams[2:], strict=True):
+            np.testing.assert_array_equal(found, right)
+        np.testing.assert_array_equal(tables.motion.seams.row, first_rows(log))
+        np.testing.assert_array_equal(tables.motion.motion.mean, expected.motion.motion.mean)
+        assert (tables.motion is before.motion) == (name == "range-bias")
+
+
 @pytest.mark.parametrize("somewhere", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_evidence_of_joined_logs_is_the_product_of_theirs(somewhere):
     """A smooth map, where the linearised evidence is nearly exact; one of the starts may be anywhere."""
