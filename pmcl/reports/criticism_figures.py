@@ -83,6 +83,8 @@ def plot_channels(criticism: Criticism) -> Figure:
     for axes, (title, _), (_, heat, edges) in zip(grid, models, blocks, strict=True):
         times = criticism.log.times[np.minimum(edges.astype(int), criticism.log.n_steps - 1)]
         mesh = axes.pcolormesh(times, np.arange(len(labels) + 1), heat, cmap="RdBu_r", vmin=-4.0, vmax=4.0)
+        for row in first_rows(criticism.log):  # between two logs nothing was read
+            axes.axvspan(*criticism.log.times[row - 1 : row + 1], color="white")
         shown = np.arange(0, len(labels), max(1, len(labels) // 16))
         axes.set_yticks(shown + 0.5, [labels[k] for k in shown], fontsize=8)
         axes.set_title(title, fontsize=10)
