@@ -26,7 +26,7 @@ COLUMNS = (
     "robot", "model", "effects", "verdict", "cpu_seconds", "position_rmse", "heading_rmse", "log_score_per_reading",
 )  # fmt: skip
 # The folder of each Create's recording and its number there.
-CREATES = {"Create 1": ("mrclam6", 1), "Create 2": ("mrclam6", 2), "Create 3 of data set 7": ("mrclam7", 3)}
+CREATES = {"Create 1": ("mrclam6", 1), "Create 2": ("mrclam6", 2), "Create 3": ("mrclam7", 3)}
 # How long the first half of a drive is [s].
 CREATE_HALF, LASER_HALF = 440.0, 630.0
 

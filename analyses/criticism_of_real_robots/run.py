@@ -2,10 +2,10 @@
 
     PMCL_DATA=/folder/with/recordings python run.py
 
-Two Creates of one fleet (UTIAS MRCLAM, data set 6), a robot with a laser (Lost in the Woods), and Jarvis, a tricycle
-with a lidar in a laboratory of which there is a grid map: as recorded, and with a mount of the lidar that is stated
-wrongly. The critic never reads the reference trajectory; errors.csv and true_path.csv do. A robot whose JSON file is
-there is not criticised again.
+Two Creates of one fleet (UTIAS MRCLAM, data set 6), a third one of another recording (data set 7), a robot with a laser
+(Lost in the Woods), and Jarvis, a tricycle with a lidar in a laboratory of which there is a grid map: as recorded, and
+with a mount of the lidar that is stated wrongly. The critic never reads the reference trajectory; errors.csv and
+true_path.csv do. A robot whose JSON file is there is not criticised again.
 """
 
 import csv
@@ -72,6 +72,7 @@ def recordings() -> dict[str, RobotLog]:
         "Jarvis, wrong mount": RobotLog.from_dataset(wrong, "Jarvis, wrong mount", jarvis.grid_map),
         "Create 1": read_mrclam(DATA / "mrclam6", 1, 0.5),
         "Create 2": read_mrclam(DATA / "mrclam6", 2, 0.5),
+        "Create 3": read_mrclam(DATA / "mrclam7", 3, 0.5),
         "laser robot": read_barfoot(DATA / "lost_in_the_woods" / "dataset2.mat", 1.0),
     }
 

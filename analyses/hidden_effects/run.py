@@ -114,7 +114,8 @@ class FirstName(logging.Handler):
         message = record.getMessage().partition("] ")[2]  # after the elapsed time
         if message.startswith("added "):
             self.added = True
-        if message.startswith(("named ", "added ")) and (np.isnan(self.seconds) or not self.added):
+        first = message.startswith(("named ", "added ")) and (np.isnan(self.seconds) or not self.added)
+        if first or message.startswith("renamed "):
             self.seconds = time.process_time() - self.started
 
     def __enter__(self) -> "FirstName":

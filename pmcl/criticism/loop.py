@@ -27,13 +27,13 @@ from pmcl.criticism.fitting.following import particles_that_follow
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out, predicted_log
 from pmcl.criticism.fitting.next_drive import next_drive
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
-from pmcl.criticism.fitting.spare_effects import without_spare_effects
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.fitting.when import Acting, acting
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.gross_errors import without_gross_errors
 from pmcl.criticism.naming.lost_robot import Recovery
 from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
+from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.settings import FINER, Settings
 from pmcl.errors import FilterError, SamplingError
@@ -96,7 +96,7 @@ class Loop:
         Limits of the result.
     steps : list of Step
         The models so far.
-    found : list of FoundEffect
+    answers : list of Answer
         Accepted effects that the current model has.
     split : int
         First row of the held-out part, on which gaps are shown.
@@ -117,7 +117,7 @@ class Loop:
         self.base, self.search, self.log, self.loss, self.other = model, search, search.log, loss, other
         self.notes = list(notes)
         self.steps: list[Step] = []
-        self.found: list[FoundEffect] = []
+        self.answers: list[Answer] = []
         self.split = self.log.n_steps if other is not None else round((1.0 - HELD_OUT_SHARE) * self.log.n_steps)
         self.held_out: HeldOut | None = None
         self.nothing_probability = np.nan
@@ -131,6 +131,11 @@ class Loop:
     def settings(self) -> Settings:
         """Settings of the run; the number of particles may have grown."""
         return self.search.settings
+
+    @property
+    def found(self) -> list[FoundEffect]:
+        """Accepted effects that the current model has."""
+        return [answer.found for answer in self.answers]
 
     def run(self, rounds: int, joint: bool, draws: int, always: bool) -> Criticism:
         """Run the loop.
@@ -233,7 +238,7 @@ class Loop:
     def _add_recovery(self, last: JudgedFit, recovery: Recovery) -> JudgedFit:
         trial, trials = recovery
         found = found_effect(trial, (), last.judgement, self.search.directions)
-        return self._added(last, trial, trials, found, f"add {found.name}: with it the filter follows")
+        return self._added(last, trial, trials, Answer(found), f"add {found.name}: with it the filter follows")
 
     def _note_single_channel(self, judged: JudgedFit) -> None:
         predictions = judged.scored.predictions
@@ -269,22 +274,17 @@ class Loop:
         """Add the effect that a search accepted; return the model with it, judged."""
         assert outcome.accepted is not None
         assert outcome.found is not None
-        name, found = outcome.found.name, outcome.found
-        if found.not_distinguishable_from:
-            self.settings.tell("looking for the drive that would tell it from its near twins")
-            seed = stream_seed(self.settings.seed, "what to record next")
-            drive = next_drive(outcome.credible, self.log, particles=self.settings.particles, seed=seed)
-            found = replace(found, record_next=drive)
-        return self._added(last, outcome.accepted, outcome.trials, found, decision.format(name))
+        answer = Answer(outcome.found, outcome.credible)
+        return self._added(last, outcome.accepted, outcome.trials, answer, decision.format(outcome.found.name))
 
     def _added(
-        self, last: JudgedFit, accepted: Trial, trials: Sequence[Trial], found: FoundEffect, decision: str
+        self, last: JudgedFit, accepted: Trial, trials: Sequence[Trial], answer: Answer, decision: str
     ) -> JudgedFit:
         """Record a step that adds an effect; return the model with it, judged."""
         assert accepted.effect is not None
         self._record(last, trials, decision, accepted)
-        before = self.held_out
-        accepted = self._without_spare(accepted)
+        before, found = self.held_out, answer.found
+        accepted = self._revised(last, accepted)
         self.held_out = self._predicted(accepted.fit)
         gain = _gain(self.held_out, before)
         if self.other is not None and not gain.total > 0.0:
@@ -292,13 +292,16 @@ class Loop:
                 f"{found.name} gains nothing on {self.other.where} ({gain.total:.1f} ± {gain.se:.1f} nats): it belongs "
                 f"to {self.log.where} alone, or something else is meant"
             )
-        self.found.append(
-            replace(found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.other is None)
-        )
+        self.answers.append(answer._replace(found=self._with_gain(found, gain)))
         self.settings.tell(
             f"added {with_place(found)}: {gain.total:+.1f} nats on held-out data", "judging the model with it"
         )
         return self.search.judge(accepted.fit)
+
+    def _with_gain(self, found: FoundEffect, gain: Gain) -> FoundEffect:
+        return replace(
+            found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.other is None
+        )
 
     def _predicted(self, fit: Fit) -> HeldOut | None:
         """Return how a model predicts the held-out part; None where its filter loses the robot."""
@@ -310,15 +313,25 @@ class Loop:
         except FilterError:
             return None
 
-    def _without_spare(self, accepted: Trial) -> Trial:
-        """Remove earlier effects that the newest one makes unnecessary."""
-        n_base = len(self.base.effects)
-        odds = partial(log_prior_odds, directions=self.search.directions)
-        trial, dropped = without_spare_effects(accepted, n_base, odds, seed=self.search.refits.seed)
-        for position in dropped:
-            removed = self.found.pop(position - n_base)
-            self.notes.append(f"{removed.name} was added first and dropped when a later effect explained it")
-        return trial
+    def _revised(self, last: JudgedFit, accepted: Trial) -> Trial:
+        """Look at earlier effects again, now that the newest one is in the model."""
+        after = revised(
+            accepted, self.answers, len(self.base.effects), partial(log_prior_odds, directions=self.search.directions),
+            partial(self.search.named_again, last), seed=self.search.refits.seed,
+        )  # fmt: skip
+        self.answers = after.answers
+        for name in after.dropped:
+            self.notes.append(f"{name} was added first and dropped when a later effect explained it")
+        for position, name, without in after.exchanged:
+            answer = self.answers[position]
+            self.notes.append(
+                f"{name} was added first, and {answer.found.name} took its place, which is more probable in a model "
+                "with a later effect"
+            )
+            self.settings.tell(f"renamed {name}: {with_place(answer.found)}")
+            gain = _gain(self._predicted(after.trial.fit), self._predicted(without.fit))
+            self.answers[position] = answer._replace(found=self._with_gain(answer.found, gain))
+        return after.trial
 
     def _without_gross_errors(self, loss: Loss, last: JudgedFit) -> JudgedFit:
         """Return the final model without gross errors, fitted and judged, if it needs none; else the model as it is.
@@ -374,6 +387,15 @@ class Loop:
 
         return self.settings.mapped(find, "windows of effects", [effect.name for effect in added])
 
+    def _with_drive(self, answer: Answer) -> FoundEffect:
+        """Return a found effect with the drive that would tell it from its near twins, if it has some."""
+        found, credible = answer
+        if not found.not_distinguishable_from:
+            return found
+        self.settings.tell(f"looking for the drive that would tell {found.name} from its near twins")
+        seed = stream_seed(self.settings.seed, "what to record next")
+        return replace(found, record_next=next_drive(credible, self.log, particles=self.settings.particles, seed=seed))
+
     def _calibrated(self, model: RobotModel, draws: int) -> Posterior | None:
         """Run full chains of the final model; return None, and note why, if they lose the robot."""
         self.settings.tell("calibrating the final model by full chains")
@@ -406,8 +428,8 @@ class Loop:
         added = model.named_effects[len(self.base.effects) :]
         windows = self._windows(last.fit, added)
         found = tuple(
-            with_window(with_estimates_of(found, effect, after, model.fixed), effect, window)
-            for found, effect, window in zip(self.found, added, windows, strict=True)
+            with_window(with_estimates_of(self._with_drive(answer), effect, after, model.fixed), effect, window)
+            for answer, effect, window in zip(self.answers, added, windows, strict=True)
         )
         unexplained = unexplained_of(last, self.search.directions)
         verdict = verdict_of(found, last.judgement)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.fitting import trials
 from pmcl.criticism.fitting.held_out import RowScores
-from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, quick_fit
-from pmcl.criticism.fitting.spare_effects import without_spare_effects
+from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
 from pmcl.criticism.naming.candidates import RankedEffect, by_score, in_order, of_carrier, of_sensors, twins_of, untried
+from pmcl.criticism.naming.revision import Answer, revised
+from pmcl.criticism.naming.search import Outcome
 from pmcl.criticism.scoring.scores import directions_of, instance_key
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.registry import candidates
@@ -156,9 +159,57 @@ def test_an_alias_goes_when_the_true_effect_is_in_and_what_the_data_show_stays()
     for name in ("quantized-readings", "odometry-side-drift", "range-bias"):
         trial = try_effect(trial, effect_named(name, log), 1.0, log, effort=THOROUGH, **settings)
     assert trial.evidence > 10.0
-    left, dropped = without_spare_effects(trial, 0, lambda effect: -3.0, seed=1)
-    assert dropped == [1]
-    assert [effect.name for effect in left.model.effects] == ["quantized-readings", "range-bias"]
-    assert left.model.fixed == trial.model.fixed != {}
+    answers = [answer_of(effect) for effect in trial.model.effects[:-1]]
+    after = revised(trial, answers, 0, lambda effect: -3.0, lambda *_: None, seed=1)
+    assert after.dropped == ["odometry-side-drift"]
+    assert [effect.name for effect in after.trial.model.effects] == ["quantized-readings", "range-bias"]
+    assert after.trial.model.fixed == trial.model.fixed != {}
     # Without the true effect something else would have to go: it stays whatever its prior says against it.
-    assert without_spare_effects(left, 0, lambda effect: -3.0, seed=1)[1] == []
+    assert revised(after.trial, after.answers, 0, lambda effect: -3.0, lambda *_: None, seed=1).dropped == []
+
+
+def answer_of(effect, **changes):
+    """An accepted effect, as the loop keeps it."""
+    plain = FoundEffect(effect.name, effect.summary, effect.where, {}, 0.01, math.nan, math.nan)
+    return Answer(replace(plain, **changes))
+
+
+@pytest.mark.parametrize("chosen", ["sensor-latency", "odometry-latency", None])
+def test_an_earlier_effect_is_exchanged_for_what_is_more_probable_beside_a_later_one(chosen):
+    """The model stays in order: what takes an effect's place has its position, and the newest effect is last."""
+    log = simulate_landmark_field(60, 1, bearings=True).without_truth()
+    settings = {"seed": 1, "particles": 50}
+    current = trial_of_base(quick_fit(default_model(log).bind(log), 1, effort=GLANCE), **settings)
+    for name in ("landmark-range-bias", "sensor-latency", "bearing-bias"):
+        current = try_effect(current, effect_named(name, log), 1.0, log, effort=GLANCE, **settings)
+    asked = []
+
+    def named_again(without, ranked):
+        asked.append((ranked.effect.name, [effect.name for effect in without.model.effects], abs(ranked.z)))
+        if ranked.effect.name != "sensor-latency" or chosen is None:
+            return None
+        other = try_effect(without, effect_named(chosen, log), 1.0, log, effort=GLANCE, **settings)
+        found = replace(answer_of(other.effect).found, probability=0.7, not_distinguishable_from=("its twin",))
+        return Outcome(other, found, [other], None, (other,))
+
+    answers = [answer_of(effect) for effect in current.model.effects[:-1]]
+    after = revised(current, answers, 0, lambda effect: 1e6, named_again, seed=1)
+    assert asked == [
+        ("landmark-range-bias", ["sensor-latency", "bearing-bias"], 1.0),
+        ("sensor-latency", ["landmark-range-bias", "bearing-bias"], 1.0),
+    ]
+    kept = chosen or "sensor-latency"
+    names = ["landmark-range-bias", kept, "bearing-bias"]
+    assert [effect.name for effect in after.trial.model.effects] == names
+    assert [answer.found.name for answer in after.answers] == names[:-1]
+    assert after.trial.fit.bound.names[-2:] == (kept.replace("-", "_"), "bearing_bias")
+    assert after.trial.effect is current.effect
+    assert [one.name for one in after.exchanged] == (["sensor-latency"] if kept != "sensor-latency" else [])
+    assert after.answers[0] == answers[0]
+    assert after.answers[1].found.not_distinguishable_from == (() if chosen is None else ("its twin",))
+    assert len(after.answers[1].credible) == (chosen is not None)
+    gone = revised(current, answers, 0, lambda effect: -1e6, named_again, seed=1)
+    assert gone.dropped == ["landmark-range-bias", "sensor-latency"]
+    assert [effect.name for effect in gone.trial.model.effects] == ["bearing-bias"]
+    assert not gone.answers
+    assert len(asked) == 2  # what goes is not named again

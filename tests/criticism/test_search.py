@@ -12,6 +12,7 @@ from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging import judged_log
 from pmcl.criticism.naming import formula_trials, lost_robot, refits, search
+from pmcl.criticism.naming.candidates import RankedEffect
 from pmcl.criticism.naming.formula_trials import FormulaCandidates
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.naming.search import Search
@@ -193,14 +194,27 @@ def test_a_refuted_answer_competes_with_all_other_candidates_at_all_places(monke
 
 
 @pytest.mark.parametrize(
-    ("alarms", "p_value", "refuted"), [((), 0.3, False), (("score",), 1e-3, False), (("score",), 1e-12, True)]
+    ("alarms", "p_value", "with_more", "refuted"),
+    [
+        ((), 0.3, None, False),
+        (("score",), 1e-3, 1e-3, False),
+        (("score",), 1e-3, 1e-9, True),
+        (("score",), 1e-12, None, True),
+    ],
 )
-def test_an_answer_is_refuted_by_an_alarm_beyond_doubt_and_judged_once(monkeypatch, alarms, p_value, refuted):
+def test_an_answer_is_refuted_by_an_alarm_beyond_doubt_and_judged_once(
+    monkeypatch, alarms, p_value, with_more, refuted
+):
+    """An alarm in doubt is judged by more simulated logs first; others are not."""
     case = Case(monkeypatch, gains(landmark_misread=60.0), {"landmark-misread": 7.0})
     outcome, judged = case.explain(), []
     judgement = SimpleNamespace(raised=alarms, p_value=p_value)
     result = SimpleNamespace(judgement=judgement, scored=None)
     monkeypatch.setattr(search, "judge_log", lambda *_: judged.append(1) or result)
+    if with_more is not None:
+        judgement = SimpleNamespace(raised=alarms, p_value=with_more)
+        surer = SimpleNamespace(judgement=judgement, scored=None)
+        monkeypatch.setattr(search, "with_more_simulations", lambda before, *_: surer if before is result else None)
     monkeypatch.setattr(case.search, "_directions_without", lambda fit: ())
     outcome = outcome._replace(accepted=replace(outcome.accepted, fit=SimpleNamespace()))
     assert case.search.refuted(outcome) is refuted
@@ -393,3 +407,20 @@ def test_a_simulated_robot_that_is_lost_is_simulated_again(monkeypatch, always):
     assert len(made) == 1 + count + 1
     lost, again = (one.dataset["landmark_range"].values for one in made[2:4])
     assert not np.array_equal(lost, again, equal_nan=True)
+
+
+def test_an_effect_is_named_again_among_what_looks_like_it_and_is_not_in_the_model(monkeypatch):
+    """The noise of a scored pass hides what tells two latencies apart, so that both may be meant."""
+    case = Case(monkeypatch, gains(odometry_latency=60.0, sensor_latency=59.5, bearing_bias=90.0))
+    late, other = (effect_named(name, case.log) for name in ("sensor-latency", "odometry-latency"))
+    without = replace(trial_of(None, effort=THOROUGH), model=SimpleNamespace(effects=()))
+    again = case.search.named_again(case.last, without, RankedEffect(late, -1.0))
+    assert again.found.name == "odometry-latency"
+    assert again.found.not_distinguishable_from == ("sensor-latency",)
+    assert "bearing-bias" not in case.names("glance")  # it does not look like a latency
+    assert not case.search.refits._known  # fits belong to a model that is current no longer
+    case.done.clear()
+    without = replace(without, model=SimpleNamespace(effects=(other,)))
+    alone = case.search.named_again(case.last, without, RankedEffect(late, -1.0))
+    assert "odometry-latency" not in case.names("glance")
+    assert alone is None or alone.found.name != "odometry-latency"

@@ -19,7 +19,9 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import RobotModel
 
-__all__ = ["Trial", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base", "try_effect"]
+__all__ = [
+    "Trial", "evidence_between", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base", "try_effect",
+]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
@@ -111,6 +113,18 @@ def log_prior_and_volume(fit: Fit) -> float:
     correlation = covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
     log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * correlation)[1] + np.log(scale).sum()
     return float(fit.bound.log_prior(fit.theta) + log_volume)
+
+
+def evidence_between(trial: Trial, without: Trial) -> float:
+    """Return the log evidence for what only one of two models has [nat].
+
+    Parameters
+    ----------
+    trial, without : Trial
+        The models, scored with as many particles.
+    """
+    gain = float(trial.row_scores.sum() - without.row_scores.sum()) + 0.5 * (trial.noise**2 - without.noise**2)
+    return gain + log_prior_and_volume(trial.fit) - log_prior_and_volume(without.fit)
 
 
 def try_effect(

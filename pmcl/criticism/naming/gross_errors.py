@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pmcl.criticism.fitting.quick_fit import Fit, quick_fit
-from pmcl.criticism.fitting.spare_effects import evidence_between
-from pmcl.criticism.fitting.trials import trial_of_base
+from pmcl.criticism.fitting.trials import evidence_between, trial_of_base
 from pmcl.criticism.naming.refits import Refits
 from pmcl.errors import FilterError
 from pmcl.filtering.ahead import compile_for_criticism

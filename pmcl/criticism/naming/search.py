@@ -160,7 +160,10 @@ class Search:
         if outcome.accepted is None or outcome.exhausted:
             return False
         fit = outcome.accepted.fit
-        judged = judge_log(self.log, fit, self._directions_without(fit), self.settings)
+        directions = self._directions_without(fit)
+        judged = judge_log(self.log, fit, directions, self.settings)
+        if in_doubt(judged.judgement):
+            judged = with_more_simulations(judged, self.log, fit, directions, self.settings)
         self._ahead = (fit, judged)
         return bool(judged.judgement.raised) and not in_doubt(judged.judgement)
 
@@ -207,7 +210,7 @@ class Search:
                 if trial.gain.total > -2.0 * trial.gain.se:
                     found = found_effect(trial, (), last.judgement, self.directions)
                     probable = self._explanations(last, current, [trial])
-                    return Outcome(trial, replace(found, p_value=0.0), [trial], probable)
+                    return Outcome(trial, replace(found, p_value=0.0, probability=1.0), [trial], probable)
         return None
 
     def explain_suspicion(self, last: JudgedFit, current: Trial) -> Outcome | None:
@@ -285,6 +288,30 @@ class Search:
         trials = self._finer(current, trials, probable)
         probable = self._explanations(last, current, trials, formulas)
         return self._answer(last, trials, probable, formulas)._replace(exhausted=not rest())
+
+    def named_again(self, last: JudgedFit, without: Trial, ranked: RankedEffect) -> Outcome | None:
+        """Choose again among an effect of a model and what looks like it; None where nothing does.
+
+        Parameters
+        ----------
+        last : JudgedFit
+            The model before its newest effect was added, judged.
+        without : Trial
+            The model with the newest effect and without the one in question, scored.
+        ranked : RankedEffect
+            The effect in question.
+        """
+        present = {instance_key(other) for other in without.model.effects}
+        twins = twins_of([ranked.effect], untried(by_score(self.directions, last.judgement), present))
+        if not twins:
+            return None
+        self.settings.tell(f"is it still {ranked.effect.name}?")
+        self.refits.forget()
+        trials = self.refits.glances(without, [ranked, *twins])
+        trials = self._refined(last, without, trials, None)
+        trials = self._finer(without, trials, self._explanations(last, without, trials))
+        self.refits.forget()
+        return self._answer(last, trials, self._explanations(last, without, trials), None)
 
     def _explanations(
         self, last: JudgedFit, current: Trial, trials: Sequence[Trial], formulas: FormulaCandidates | None = None
