@@ -206,6 +206,9 @@ class Loop:
                 first_answer, outcome = outcome.accepted, self.search.explain(last, current, refuted=outcome)
                 if outcome.accepted is not first_answer:
                     self._tell_name(outcome)
+            if outcome.accepted is None:
+                outcome = self.search.beside_something_unknown(last, current, outcome)
+                self._tell_name(outcome)
             self._nothing_is(outcome.probable.nothing)
             if outcome.accepted is None:
                 self._record(last, outcome.trials, "nothing known explains it")

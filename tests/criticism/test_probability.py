@@ -34,11 +34,11 @@ def trial(of, evidence, noise=0.0, effort=THOROUGH):
     return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, 100, effort)
 
 
-def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0):
+def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0, p_value_with=None):
     """Probabilities beside candidates that were not tried."""
     current = trial(None, 0.0, noise)
     offered = [one.effect for one in trials if not one.effect.name.startswith("formula")]
-    return explanations(current, trials, directions_of([*offered, *others]), formulas, p_value, 1)
+    return explanations(current, trials, directions_of([*offered, *others]), formulas, p_value, 1, p_value_with)
 
 
 def test_without_noise_it_is_bayes_rule():
@@ -60,6 +60,22 @@ def test_without_noise_it_is_bayes_rule():
     beside = found.beside(scale)
     assert [one.name for one in beside] == ["beam-bias", "nothing", "unknown effect"]
     assert beside[0].where == {"beams": (2,)}
+
+
+def test_an_effect_may_be_there_beside_something_unknown():
+    """Alone it loses against something unknown; with what the log still shows under it, both together win."""
+    scale = effect("odometry-turn-scale")
+    alone = told([trial(scale, 25.0)], p_value=1e-17)
+    assert not alone.likely
+    both = told([trial(scale, 25.0)], p_value=1e-17, p_value_with=1e-15)
+    share = (1.0 - NOTHING_PRIOR) / 3.0
+    bound, with_it = (-np.log(-np.e * p * np.log(p)) for p in (1e-17, 1e-15))
+    effect_only, and_unknown = share * np.exp(25.0), share * share / NOTHING_PRIOR * np.exp(25.0 + with_it)
+    expected = (effect_only + and_unknown) / (NOTHING_PRIOR + share * np.exp(bound) + effect_only + and_unknown)
+    assert both.of(scale) == pytest.approx(expected)
+    assert both.likely
+    # An effect that takes all alarms with it gains nothing by that.
+    assert told([trial(scale, 25.0)], p_value=1e-17, p_value_with=0.5).of(scale) < 1.4 * alone.of(scale)
 
 
 def test_an_instance_that_was_fitted_twice_counts_once():

@@ -63,6 +63,21 @@ def test_a_short_fit_of_a_moved_sensor_comes_to_its_size(given, size):
     assert given != "sensor-latency=large" or found[1] < 0.7 * size
 
 
+@pytest.mark.parametrize("score", [3.0, -3.0])
+def test_a_moved_sensor_is_found_where_odometry_is_sharp_ahead_and_poor_in_turns(score):
+    """A path can hardly be shorter there, but a turn may move it: plain steps along both stay where they begin."""
+    noise = {"sigma_range": 0.03, "sigma_forward": 0.004, "sigma_turn": 0.05}
+    given = ("sensor-offset=large",)
+    log = simulate_amigobot(300.0, 4, noise, effects=given, hide_effects=True)
+    effect = effect_named("sensor-offset", log)
+    fit = quick_fit(default_model(log).bind(log), 1)
+    bound = replace(default_model(log), effects=(effect,)).bind(log)
+    values, path = starting_point(bound, fit, effect, score, np.array([True, True]))
+    clear = np.array(effect.magnitude("large"))
+    assert np.linalg.norm(values - clear) < 0.5 * np.linalg.norm(clear)
+    assert path is not fit.path
+
+
 def test_a_fit_of_another_effect_starts_near_none_on_the_path_as_it_is():
     log = simulate_amigobot(100.0, 5)
     fit = quick_fit(default_model(log).bind(log), 1)

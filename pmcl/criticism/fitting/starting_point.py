@@ -22,9 +22,9 @@ Float = NDArray[np.float64]
 
 # A fit starts at this share of the candidate's clear magnitude (chosen by hand).
 _START_SHARE = 0.25
-# Step of the derivatives of the motion's density, in unconstrained parameters: far below a posterior's width, far above
-# rounding errors.
-_DIFFERENCE = 1e-4
+# Step of the derivatives of the motion's density, in unconstrained parameters and in units of what its curvature makes
+# of a step: far below a posterior's width, far above rounding errors.
+_DIFFERENCE, _SHARE_OF_SCALE = 1e-4, 1e-3
 # What a density of zero counts for L-BFGS-B, which knows no infinity [nat].
 _IMPOSSIBLE = 1e10
 
@@ -57,6 +57,9 @@ def starting_point(
     values = _near_null(effect, z)
     if effect.carries is None:
         return values, fit.path
+    for k in effect.strengths:
+        if not (effect.squared or effect.one_sided(k)):
+            values[k] = effect.null[k]
     log = bound.logs[0]
     own = slice(fit.theta.size, None)
     transform = Unconstrained(bound.parameters)
@@ -77,9 +80,18 @@ def starting_point(
         density = float(terms.sum()) + prior + log_jacobian
         return -density if math.isfinite(density) else _IMPOSSIBLE
 
+    # Without the effect the path suits the motion well. A centimetre along it is far more than one across, so the steps
+    # of the search are as long as the curvature there makes them; in plain steps it stays where it begins.
     start = transform.to_line(np.concatenate([fit.theta, values[free]]))
-    found = optimize.minimize(cost, start, method="L-BFGS-B", options={"eps": _DIFFERENCE})
-    path = carried(transform.from_line(np.asarray(found.x))[0])
+    steps = np.eye(start.size) * _DIFFERENCE
+    bends = np.array([cost(start + step) + cost(start - step) - 2.0 * cost(start) for step in steps])
+    scale = 1.0 / np.sqrt(np.clip(bends / _DIFFERENCE**2, 1.0, None))
+
+    def scaled_cost(step: Float) -> float:
+        return cost(start + scale * np.asarray(step))
+
+    found = optimize.minimize(scaled_cost, np.zeros_like(start), method="L-BFGS-B", options={"eps": _SHARE_OF_SCALE})
+    path = carried(transform.from_line(start + scale * np.asarray(found.x))[0])
     return values, path
 
 

@@ -64,7 +64,7 @@ class Explanations(NamedTuple):
     effects : tuple of Effect
         The effects that were tried, the most probable first.
     probabilities : tuple of float
-        Their probabilities.
+        Their probabilities, whether or not something unknown is there besides.
     may_be_right : tuple of Effect
         Those that would belong to the answer if their evidence were a standard deviation of its noise greater.
     """
@@ -118,7 +118,13 @@ class Explanations(NamedTuple):
 
 
 def explanations(
-    current: Trial, trials: Sequence[Trial], directions: Sequence[Direction], formulas: int, p_value: float, seed: int
+    current: Trial,
+    trials: Sequence[Trial],
+    directions: Sequence[Direction],
+    formulas: int,
+    p_value: float,
+    seed: int,
+    p_value_with: float | None = None,
 ) -> Explanations:
     """Return the posterior probabilities of nothing, of each effect that was refitted, and of something unknown.
 
@@ -136,6 +142,9 @@ def explanations(
         P-value of the log's alarms under the current model.
     seed : int
         Determines the draws of the noise.
+    p_value_with : float, optional
+        P-value of the log's alarms under the model with the most probable effect, once it is known: what an effect does
+        not explain, something unknown may explain besides.
 
     Notes
     -----
@@ -153,7 +162,10 @@ def explanations(
     effects = [trial.effect for trial in ranked if trial.effect is not None]
     prior = np.log(_priors(effects, directions, max(formulas, 1)))
     none = prior[:2] + np.array([0.0, _evidence_bound(p_value)])
-    some = prior[2:] + np.array([trial.evidence for trial in ranked])
+    besides = 0.0
+    if p_value_with is not None:
+        besides = float(np.logaddexp(0.0, prior[1] - prior[0] + _evidence_bound(p_value_with)))
+    some = prior[2:] + besides + np.array([trial.evidence for trial in ranked])
     noise = np.array([_noise(trial) for trial in ranked])
     rng = make_rng(seed)
     # What the current model's own score is wrong by, all gains are.

@@ -13,6 +13,8 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
    model with it, too, something may have more evidence that was not tried: scores tell what a small effect is worth,
    and a fit without a large one bends them. All other candidates are then fitted at a glance, also at other places, and
    compete with it.
+6. Where something unknown is more probable than any effect alone, the most probable effect is the answer if it is more
+   probable that it is there, with something unknown beside it, than that it is not.
 
 Where no alarm is raised, the effects that may be right by their scores as they are go the same way, and count only if
 they have nearly all probability.
@@ -41,7 +43,14 @@ from pmcl.criticism.naming.candidates import (
 )
 from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
 from pmcl.criticism.naming.lost_robot import Recovery, recover
-from pmcl.criticism.naming.probability import LEAST_LISTED, Explanations, explanations, suspects, with_probabilities
+from pmcl.criticism.naming.probability import (
+    CREDIBLE,
+    LEAST_LISTED,
+    Explanations,
+    explanations,
+    suspects,
+    with_probabilities,
+)
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
 from pmcl.criticism.settings import Settings
@@ -159,13 +168,17 @@ class Search:
         """
         if outcome.accepted is None or outcome.exhausted:
             return False
-        fit = outcome.accepted.fit
+        judgement = self._judge_ahead(outcome.accepted.fit).judgement
+        return bool(judgement.raised) and not in_doubt(judgement)
+
+    def _judge_ahead(self, fit: Fit) -> JudgedLog:
+        """Judge the log under a fit that may become the current model, and keep that for :meth:`judge`."""
         directions = self._directions_without(fit)
         judged = judge_log(self.log, fit, directions, self.settings)
         if in_doubt(judged.judgement):
             judged = with_more_simulations(judged, self.log, fit, directions, self.settings)
         self._ahead = (fit, judged)
-        return bool(judged.judgement.raised) and not in_doubt(judged.judgement)
+        return judged
 
     def judge_again(self, last: JudgedFit) -> JudgedFit:
         """Judge a model with more simulated logs; refitted candidates are kept."""
@@ -313,12 +326,42 @@ class Search:
         self.refits.forget()
         return self._answer(last, trials, self._explanations(last, without, trials), None)
 
+    def beside_something_unknown(self, last: JudgedFit, current: Trial, outcome: Outcome) -> Outcome:
+        """Return the effect for which the log speaks, although it speaks louder for something that has no name.
+
+        An effect alone competes with something unknown alone. Both may be there: that is seen from the alarms that the
+        log still raises under the model with the effect.
+
+        Parameters
+        ----------
+        last : JudgedFit
+            The model, fitted and judged.
+        current : Trial
+            The same model, scored.
+        outcome : Outcome
+            A search that accepted nothing.
+        """
+        probable, formulas = outcome.probable, outcome.formulas
+        if outcome.accepted is not None or probable.named < CREDIBLE * (probable.named + probable.nothing):
+            return outcome
+        trials = self._longer(current, outcome.trials, probable.credible)
+        of = self._explanations(last, current, trials, formulas).of
+        best = max(trials, key=lambda trial: of(_effect(trial)))
+        p_value = self._judge_ahead(best.fit).judgement.p_value
+        probable = self._explanations(last, current, trials, formulas, p_value)
+        return self._answer(last, trials, probable, formulas)._replace(exhausted=outcome.exhausted)
+
     def _explanations(
-        self, last: JudgedFit, current: Trial, trials: Sequence[Trial], formulas: FormulaCandidates | None = None
+        self,
+        last: JudgedFit,
+        current: Trial,
+        trials: Sequence[Trial],
+        formulas: FormulaCandidates | None = None,
+        p_value_with: float | None = None,
     ) -> Explanations:
         seed = stream_seed(self.settings.seed, "noise of evidences")
         count = len(formulas.directions) if formulas is not None else 0
-        return explanations(current, trials, self.directions, count, last.judgement.p_value, seed)
+        return explanations(current, trials, self.directions, count, last.judgement.p_value, seed, p_value_with)
 
     def _refined(
         self, last: JudgedFit, current: Trial, trials: list[Trial], formulas: FormulaCandidates | None
