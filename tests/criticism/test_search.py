@@ -14,6 +14,7 @@ from pmcl.criticism.judging import judged_log
 from pmcl.criticism.naming import formula_trials, lost_robot, refits, search
 from pmcl.criticism.naming.candidates import RankedEffect
 from pmcl.criticism.naming.formula_trials import FormulaCandidates
+from pmcl.criticism.naming.probability import Explanations
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.scoring.scores import directions_of
@@ -424,3 +425,29 @@ def test_an_effect_is_named_again_among_what_looks_like_it_and_is_not_in_the_mod
     alone = case.search.named_again(case.last, without, RankedEffect(late, -1.0))
     assert "odometry-latency" not in case.names("glance")
     assert alone is None or alone.found.name != "odometry-latency"
+
+
+@pytest.mark.parametrize(
+    ("evidence", "left", "accepted"), [(25.0, 1e-15, True), (25.0, 0.5, False), (0.5, 1e-15, False)]
+)
+def test_an_effect_is_told_beside_something_unknown_if_it_is_clear_and_alarms_stay(
+    monkeypatch, evidence, left, accepted
+):
+    case = Case(monkeypatch, gains(landmark_misread=evidence), {"landmark-misread": 7.0}, p_value=1e-17)
+    current = trial_of(None, effort=THOROUGH)
+    outcome = case.explain()
+    assert outcome.accepted is None
+    judged = []
+    result = SimpleNamespace(judgement=SimpleNamespace(raised=("score",), p_value=left), scored=None)
+    monkeypatch.setattr(search, "judge_log", lambda *_: judged.append(1) or result)
+    monkeypatch.setattr(search, "with_more_simulations", lambda before, *_: before)
+    monkeypatch.setattr(case.search, "_directions_without", lambda fit: ())
+    beside = case.search.beside_something_unknown(case.last, current, outcome)
+    assert (beside.accepted is not None) is accepted
+    assert len(judged) == (evidence > 1.0)  # a model for which nothing speaks is not judged
+    if accepted:
+        assert beside.found.name == "landmark-misread"
+        assert beside.found.probability > 0.9
+        assert [one.effort for one in beside.trials if one is beside.accepted] == [THOROUGH]
+    empty = outcome._replace(trials=[], probable=Explanations(0.0, 1.0, (), ()))
+    assert case.search.beside_something_unknown(case.last, current, empty) is empty

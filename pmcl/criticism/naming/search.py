@@ -342,7 +342,8 @@ class Search:
             A search that accepted nothing.
         """
         probable, formulas = outcome.probable, outcome.formulas
-        if outcome.accepted is not None or probable.named < CREDIBLE * (probable.named + probable.nothing):
+        clear = probable.named > 0.0 and probable.named >= CREDIBLE * (probable.named + probable.nothing)
+        if outcome.accepted is not None or not clear:
             return outcome
         trials = self._longer(current, outcome.trials, probable.credible)
         of = self._explanations(last, current, trials, formulas).of
