@@ -12,6 +12,7 @@ from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of
 from pmcl.criticism.loop import Loop, Loss
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.naming import gross_errors
+from pmcl.criticism.naming.revision import Answer
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
 from pmcl.criticism.workflow import criticize
@@ -145,7 +146,7 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
 ):
     plain = default_model(log)
     one = Loop(with_gross_errors(plain), Search(log, (), SETTINGS), Loss(plain, "", None))
-    one.found = ["made"]
+    one.answers = [Answer(None)]
     bound = one.base.bind(log)
     theta = bound.prior_mean()
     known = dict(zip(bound.names, theta, strict=True))
@@ -176,7 +177,7 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
     assert names == bound.names[:-1]
     np.testing.assert_array_equal(values, theta[:-1])
     # Without anything found there is nothing that could have replaced them.
-    one.found = []
+    one.answers = []
     assert one._without_gross_errors(one.loss, last) is last
 
 
