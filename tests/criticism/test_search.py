@@ -449,5 +449,11 @@ def test_an_effect_is_told_beside_something_unknown_if_it_is_clear_and_alarms_st
         assert beside.found.name == "landmark-misread"
         assert beside.found.probability > 0.9
         assert [one.effort for one in beside.trials if one is beside.accepted] == [THOROUGH]
+
+    def lost(*_):
+        raise FilterError("made", row=7)
+
+    monkeypatch.setattr(search, "judge_log", lost)
+    assert case.search.beside_something_unknown(case.last, current, outcome) is outcome
     empty = outcome._replace(trials=[], probable=Explanations(0.0, 1.0, (), ()))
     assert case.search.beside_something_unknown(case.last, current, empty) is empty

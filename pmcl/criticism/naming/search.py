@@ -54,6 +54,7 @@ from pmcl.criticism.naming.probability import (
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
 from pmcl.criticism.settings import Settings
+from pmcl.errors import FilterError
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.streams import stream_seed
@@ -348,7 +349,10 @@ class Search:
         trials = self._longer(current, outcome.trials, probable.credible)
         of = self._explanations(last, current, trials, formulas).of
         best = max(trials, key=lambda trial: of(_effect(trial)))
-        p_value = self._judge_ahead(best.fit).judgement.p_value
+        try:
+            p_value = self._judge_ahead(best.fit).judgement.p_value
+        except FilterError:  # with the effect the filter loses the robot: there are no alarms to go by
+            return outcome
         probable = self._explanations(last, current, trials, formulas, p_value)
         return self._answer(last, trials, probable, formulas)._replace(exhausted=outcome.exhausted)
 
