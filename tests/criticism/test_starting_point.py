@@ -64,8 +64,7 @@ def test_a_short_fit_of_a_moved_sensor_comes_to_its_size(given, size):
 
 
 @pytest.mark.parametrize("score", [3.0, -3.0])
-def test_a_moved_sensor_is_found_where_odometry_is_sharp_ahead_and_poor_in_turns(score):
-    """A path can hardly be shorter there, but a turn may move it: plain steps along both stay where they begin."""
+def test_the_search_for_a_moved_sensor_comes_near_its_place_from_either_side(score):
     noise = {"sigma_range": 0.03, "sigma_forward": 0.004, "sigma_turn": 0.05}
     given = ("sensor-offset=large",)
     log = simulate_amigobot(300.0, 4, noise, effects=given, hide_effects=True)
