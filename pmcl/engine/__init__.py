@@ -31,6 +31,7 @@ from pmcl.lazy import lazy_names
 if TYPE_CHECKING:
     from pmcl.engine.compile import kernel
     from pmcl.engine.contract import (
+        NOT_ASKED,
         deviation_of_state,
         draw_start,
         has_reading,
@@ -50,12 +51,14 @@ if TYPE_CHECKING:
         start_logpdf,
         state_of_deviation,
         state_size,
+        states_asked,
         transition_logpdf,
     )
     from pmcl.engine.residuals import GaussianSums, sum_of_squares, theta_logpdf
     from pmcl.engine.tables import Axes, NoExtras
 
 __all__ = [
+    "NOT_ASKED",
     "Axes",
     "GaussianSums",
     "NoExtras",
@@ -79,6 +82,7 @@ __all__ = [
     "start_logpdf",
     "state_of_deviation",
     "state_size",
+    "states_asked",
     "sum_of_squares",
     "theta_logpdf",
     "transition_logpdf",
@@ -86,6 +90,7 @@ __all__ = [
 
 _HOMES = {
     "kernel": "pmcl.engine.compile",
+    "NOT_ASKED": "pmcl.engine.contract",
     "deviation_of_state": "pmcl.engine.contract",
     "draw_start": "pmcl.engine.contract",
     "has_reading": "pmcl.engine.contract",
@@ -105,6 +110,7 @@ _HOMES = {
     "start_logpdf": "pmcl.engine.contract",
     "state_of_deviation": "pmcl.engine.contract",
     "state_size": "pmcl.engine.contract",
+    "states_asked": "pmcl.engine.contract",
     "transition_logpdf": "pmcl.engine.contract",
     "GaussianSums": "pmcl.engine.residuals",
     "sum_of_squares": "pmcl.engine.residuals",

@@ -13,6 +13,7 @@ import numpy as np
 from pmcl.engine.compile import generic
 
 __all__ = [
+    "NOT_ASKED",
     "deviation_of_state",
     "draw_start",
     "has_reading",
@@ -32,8 +33,12 @@ __all__ = [
     "start_logpdf",
     "state_of_deviation",
     "state_size",
+    "states_asked",
     "transition_logpdf",
 ]
+
+# Marks states whose distribution function is not asked for. No probability, and nothing that unwritten memory holds.
+NOT_ASKED = -1e300
 
 
 @generic
@@ -160,6 +165,17 @@ def one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scr
     reading has a probability of its own, as a clipped one does; NaN when the distribution function is not known).
     `memory` (3, n) and `scratch` are kept from slot to slot of one row; every slot is asked for, in order. Returns
     whether the slot was measured.
+
+    Of a sensor that registers :func:`states_asked` the caller wants `low` and `high` of some states only: it puts
+    :data:`NOT_ASKED` into `low` of the others, which may stay.
+    """
+
+
+@generic
+def states_asked(sensor):
+    """Return for how many states :func:`one_reading` is asked for `low` and `high`; 0 stands for all of them.
+
+    Few are enough for their mean. A sensor registers a number if they cost it much more than the density.
     """
 
 
@@ -171,6 +187,11 @@ def _one_slot_per_row(sensor, n_steps):
 @reading_exponent.register(object)
 def _independent(sensor):
     return 1.0
+
+
+@states_asked.register(object)
+def _all_states(sensor):
+    return 0
 
 
 @reading_slots.register(object)

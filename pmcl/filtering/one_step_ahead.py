@@ -98,7 +98,7 @@ def predict_readings(
     Returns
     -------
     Predictions
-        Cost: about twice that of a plain pass.
+        Cost: about twice that of a plain pass; seven times with the likelihood field of a lidar.
 
     Raises
     ------

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from oracles import kalman, made_tables
 from oracles.random_walk_model import rail_log, rail_model
-from scipy import integrate, stats
+from scipy import integrate, special, stats
 
 from pmcl.engine import contract
 from pmcl.engine.compile import entry
 from pmcl.filtering.kernels import smc
+from pmcl.filtering.kernels.weighing import OneByOne, weigh
 from pmcl.filtering.one_step_ahead import pooled_increments, predict_by_passes, predict_readings
 from pmcl.filtering.particle_filter import draw_paths, draw_paths_beside, log_joint, make_rng, run_filter
 from pmcl.models.robot_model import default_model
@@ -74,6 +76,54 @@ def _with(sensor, t, slot, value):
     values = getattr(sensor, name).copy()
     values[slot // 3] = value
     return sensor._replace(**{name: values})
+
+
+class Gauge(NamedTuple):
+    """One reading a row, of the state's first component plus Gaussian noise of standard deviation 1."""
+
+    reading: np.ndarray
+    asked: int
+
+
+@contract.states_asked.register(Gauge)
+def _states_asked(sensor):
+    return sensor.asked
+
+
+@contract.one_reading.register(Gauge)
+def _gauge_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
+    for i in range(logp.size):
+        z = sensor.reading[t] - current[0, i]
+        logp[i] = -0.5 * z * z
+        if low[i] != contract.NOT_ASKED:
+            low[i] = 0.5 * math.erfc(-z * math.sqrt(0.5))
+            high[i] = low[i] + 0.1
+    return True
+
+
+@entry
+def weighed(record, sensors, previous, current, log_weights, scratch):
+    weigh(record, sensors, 0, previous, current, log_weights, np.empty(log_weights.size), scratch)
+
+
+@pytest.mark.parametrize("asked", [0, 40, 999, 1000])
+def test_distribution_functions_are_asked_of_states_in_proportion_to_their_weights(asked, rng):
+    n = 1000
+    state, log_weights = rng.normal(size=(1, n)), np.log(rng.exponential(size=n) ** 3)
+    weights = np.exp(log_weights)
+    below = special.ndtr(0.3 - state[0])
+    record = OneByOne(1, *np.full((3, 1), np.nan), np.empty((7, n)), False)
+    weighed(record, (Gauge(np.array([0.3]), asked),), state, state, log_weights.copy(), np.empty((0, n)))
+    if 0 < asked < n:
+        teeth = np.searchsorted(np.cumsum(weights) / weights.sum(), (np.arange(asked) + 0.5) / asked)
+        expected = below[teeth].mean()
+        assert expected == pytest.approx(np.average(below, weights=weights), abs=0.1)
+    else:
+        expected = np.average(below, weights=weights)
+    assert record.low[0] == pytest.approx(expected, rel=1e-9)
+    assert record.high[0] == pytest.approx(expected + 0.1, rel=1e-9)
+    density = np.exp(-0.5 * (0.3 - state[0]) ** 2)
+    assert record.log_score[0] == pytest.approx(np.log(np.average(density, weights=weights)), rel=1e-9)
 
 
 @pytest.mark.slow

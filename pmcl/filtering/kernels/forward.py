@@ -192,7 +192,7 @@ def predictive_pass(tables, rng, n_steps, n, scheme, threshold, alone, rows):
     log_score, low, high = np.full(slots, np.nan), np.full(slots, np.nan), np.full(slots, np.nan)
     history = History(particles, log_weights, ancestors)
     arrays = FilterWork(history, steps, np.empty((size, n)), np.empty((work_rows(tables), n)))
-    record = OneByOne(n_steps, log_score, low, high, np.empty((6, n)), alone)
+    record = OneByOne(n_steps, log_score, low, high, np.empty((7, n)), alone)
     status, t, log_evidence, _ = forward(
         tables, rng, 0, n_steps, False, scheme, threshold, False, np.empty((0, size)), record, arrays
     )

@@ -16,7 +16,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from pmcl.engine.compile import generic, kernel, overload_for_types
-from pmcl.engine.contract import one_reading, reading_count, reading_exponent, reading_slots
+from pmcl.engine.contract import NOT_ASKED, one_reading, reading_count, reading_exponent, reading_slots, states_asked
 from pmcl.engine.sensor_tuples import sum_logpdf
 from pmcl.engine.vector_math import exp_into, maximum, total
 
@@ -44,7 +44,7 @@ class OneByOne(NamedTuple):
     log_score, low, high : ndarray, shape (N,)
         For each slot of all sensors: log predictive density of the reading, and the predictive probabilities of a
         smaller and of a smaller or equal one. Slots that were not measured are left as they are.
-    draft : ndarray, shape (6, n)
+    draft : ndarray, shape (7, n)
         Work space.
     alone : bool
         Whether each reading of a sensor is foreseen as if the sensor had read nothing else at that time.
@@ -123,18 +123,56 @@ def _log_mean(weights, weight_sum, logp, draft):
 
 
 @kernel
+def _ask_few(weights, weight_sum, count, asked, low):
+    """Choose some states in proportion to their weights, by a comb of `count` teeth.
+
+    `asked` (n,) receives the number of teeth that fall on each state, and `low` of the other states the mark
+    that they are not asked.
+    """
+    step, reached, tooth = weight_sum / count, 0.0, 0
+    for i in range(weights.size):
+        reached += weights[i]
+        before = tooth
+        while tooth < count and (tooth + 0.5) * step < reached:
+            tooth += 1
+        asked[i] = float(tooth - before)
+        low[i] = 0.0 if tooth > before else NOT_ASKED
+
+
+@kernel
+def _mean_of_asked(asked, values):
+    """Return the mean of `values` over the teeth that fall on their states."""
+    value, count = 0.0, 0.0
+    for i in range(asked.size):
+        if asked[i] > 0.0:
+            value += asked[i] * values[i]
+            count += asked[i]
+    return value / count
+
+
+@kernel
 def _slot_by_slot(sensor, offset, record, t, previous, current, log_weights, weights, scratch):
     draft = record.draft
-    logp, low, high, memory = draft[0], draft[1], draft[2], draft[3:6]
+    logp, low, high, memory, asked = draft[0], draft[1], draft[2], draft[3:6], draft[6]
     status, greatest, weight_sum = normalise(log_weights, weights)
     exponent = reading_exponent(sensor)
+    count = states_asked(sensor)
+    few = 0 < count < logp.size
+    for i in range(low.size):
+        low[i] = 0.0  # all are asked for
     first, stop = reading_slots(sensor, t)
     for slot in range(first, stop):
+        if few and status == FINE:
+            _ask_few(weights, weight_sum, count, asked, low)
         if not one_reading(sensor, t, slot, previous, current, logp, low, high, memory, scratch):
             continue
         if status == FINE:
-            record.low[offset + slot] = _inner(weights, low) / weight_sum
-            record.high[offset + slot] = _inner(weights, high) / weight_sum
+            if few:
+                record.low[offset + slot] = _mean_of_asked(asked, low)
+                record.high[offset + slot] = _mean_of_asked(asked, high)
+            else:
+                record.low[offset + slot] = _inner(weights, low) / weight_sum
+                record.high[offset + slot] = _inner(weights, high) / weight_sum
             before = greatest + math.log(weight_sum)
             if exponent != 1.0 or record.alone:
                 record.log_score[offset + slot] = _log_mean(weights, weight_sum, logp, low)

@@ -10,6 +10,7 @@ import math
 
 from pmcl.engine.compile import kernel
 from pmcl.engine.contract import (
+    NOT_ASKED,
     has_reading,
     linear_information,
     looks_back,
@@ -20,6 +21,7 @@ from pmcl.engine.contract import (
     reading_logpdf,
     reading_slots,
     scratch_rows,
+    states_asked,
 )
 from pmcl.engine.linear_readings import add_information
 from pmcl.engine.tables import NoExtras
@@ -51,6 +53,11 @@ from pmcl.models.sensors.lidar.kernels.rays import (
 )
 from pmcl.models.sensors.lidar.table import BEAM, LidarExtras, LidarTable
 
+# The distribution function of a reading costs a ray through the grid, ten times as much as its density under a
+# likelihood field. Its mean over so many states has an error of 0.01 on a recorded drive (Jarvis, 154 scans), and of
+# 0.5 / sqrt(64) = 0.06 at most.
+_STATES_ASKED = 64
+
 
 @scratch_rows.register(LidarTable)
 def _scratch_rows(table):
@@ -75,6 +82,11 @@ def _looks_back_with_lag(sensor):
 @reading_exponent.register(LidarTable)
 def _exponent(sensor):
     return sensor.exponent
+
+
+@states_asked.register(LidarTable)
+def _states_asked(sensor):
+    return _STATES_ASKED
 
 
 @reading_count.register(LidarTable)
@@ -214,6 +226,8 @@ def _one_of_beam(sensor, r, z, logp, low, high, scratch):
         logp[i] = with_obstacles(
             sensor, r, z, mount, i, scratch, beam_reading_logpdf(sensor, r, z, expected)
         )
+        if low[i] == NOT_ASKED:
+            continue
         below, as_much = beam_below(
             z, expected, sensor.max_range[r], sensor.std[r], sensor.z_hit, sensor.z_short, sensor.z_max, sensor.z_rand,
             sensor.lambda_short,
@@ -229,16 +243,24 @@ def _one_of_field(sensor, r, z, logp, low, high, scratch):
     per_std = math.sqrt(0.5 / (sensor.std[r] ** 2 + sensor.resolution**2 / 12.0))
     mount = mount_of(sensor, r)
     unrelated = sensor.z_rand * z / sensor.max_range[r]
+    u, v = end_point(sensor, r, z)
+    column, row, sine, cosine = scratch[COLUMN], scratch[ROW], scratch[SINE], scratch[COSINE]
     for i in range(logp.size):
-        level = level_of(sensor, r, z, i, scratch)
-        logp[i] = with_obstacles(sensor, r, z, mount, i, scratch, log_density[level])
+        x = column[i] + cosine[i] * u - sine[i] * v + BORDER
+        logp[i] = log_density[level_at(sensor.levels, x, row[i] + sine[i] * u + cosine[i] * v + BORDER)]
+    if has_obstacles(sensor):
+        for i in range(logp.size):
+            logp[i] = with_obstacles(sensor, r, z, mount, i, scratch, logp[i])
+    for i in range(logp.size):
+        if low[i] == NOT_ASKED:
+            continue
         expected = expected_of(sensor, r, mount, i, scratch)
         if z > expected:
             # As far behind the wall as its mirror image is before it: what the map has behind a wall does not count.
             mirrored = max(2.0 * expected - z, 0.0)
             distance = sensor.level_distance[level_of(sensor, r, mirrored, i, scratch)]
         else:
-            distance = -sensor.level_distance[level]
+            distance = -sensor.level_distance[level_of(sensor, r, z, i, scratch)]
         below = sensor.z_hit * 0.5 * math.erfc(-(distance - half) * per_std) + unrelated
         as_much = sensor.z_hit * 0.5 * math.erfc(-(distance + half) * per_std) + unrelated
         low[i], high[i] = with_obstacles_below(sensor, r, z, mount, i, scratch, below, as_much)
