@@ -11,7 +11,7 @@ import pytest
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging import judged_log
-from pmcl.criticism.naming import formula_trials, lost_robot, refits, search
+from pmcl.criticism.naming import formula_trials, judged_models, lost_robot, refits, search
 from pmcl.criticism.naming.candidates import RankedEffect
 from pmcl.criticism.naming.formula_trials import FormulaCandidates
 from pmcl.criticism.naming.probability import Explanations
@@ -43,8 +43,8 @@ class Case:
     def __init__(self, monkeypatch, evidence, scores=None, formulas=(), p_value=1e-9):
         self.log = simulate_landmark_field(60, 1, bearings=True)
         self.search = Search(self.log, candidates(self.log), SETTINGS)
-        self.search.directions = directions_of(self.search.offered)
-        self.search.judged = None
+        self.search.models.directions = directions_of(self.search.models.offered)
+        self.search.models.current = None
         self.evidence, self.done, scores = evidence, [], scores or {}
         z = np.array([scores.get(one.effect.name, 0.0) for one in self.search.directions])
         self.last = SimpleNamespace(judgement=SimpleNamespace(
@@ -211,12 +211,13 @@ def test_an_answer_is_refuted_by_an_alarm_beyond_doubt_and_judged_once(
     outcome, judged = case.explain(), []
     judgement = SimpleNamespace(raised=alarms, p_value=p_value)
     result = SimpleNamespace(judgement=judgement, scored=None)
-    monkeypatch.setattr(search, "judge_log", lambda *_: judged.append(1) or result)
+    monkeypatch.setattr(judged_models, "judge_log", lambda *_: judged.append(1) or result)
     if with_more is not None:
         judgement = SimpleNamespace(raised=alarms, p_value=with_more)
         surer = SimpleNamespace(judgement=judgement, scored=None)
-        monkeypatch.setattr(search, "with_more_simulations", lambda before, *_: surer if before is result else None)
-    monkeypatch.setattr(case.search, "_directions_without", lambda fit: ())
+        more = {id(result): surer}
+        monkeypatch.setattr(judged_models, "with_more_simulations", lambda before, *_: more[id(before)])
+    monkeypatch.setattr(case.search.models, "_lacking", lambda fit: ())
     outcome = outcome._replace(accepted=replace(outcome.accepted, fit=SimpleNamespace()))
     assert case.search.refuted(outcome) is refuted
     assert case.search.judge(outcome.accepted.fit).judgement is judgement
@@ -439,9 +440,9 @@ def test_an_effect_is_told_beside_something_unknown_if_it_is_clear_and_alarms_st
     assert outcome.accepted is None
     judged = []
     result = SimpleNamespace(judgement=SimpleNamespace(raised=("score",), p_value=left), scored=None)
-    monkeypatch.setattr(search, "judge_log", lambda *_: judged.append(1) or result)
-    monkeypatch.setattr(search, "with_more_simulations", lambda before, *_: before)
-    monkeypatch.setattr(case.search, "_directions_without", lambda fit: ())
+    monkeypatch.setattr(judged_models, "judge_log", lambda *_: judged.append(1) or result)
+    monkeypatch.setattr(judged_models, "with_more_simulations", lambda before, *_: before)
+    monkeypatch.setattr(case.search.models, "_lacking", lambda fit: ())
     beside = case.search.beside_something_unknown(case.last, current, outcome)
     assert (beside.accepted is not None) is accepted
     assert len(judged) == (evidence > 1.0)  # a model for which nothing speaks is not judged
@@ -453,7 +454,7 @@ def test_an_effect_is_told_beside_something_unknown_if_it_is_clear_and_alarms_st
     def lost(*_):
         raise FilterError("made", row=7)
 
-    monkeypatch.setattr(search, "judge_log", lost)
+    monkeypatch.setattr(judged_models, "judge_log", lost)
     assert case.search.beside_something_unknown(case.last, current, outcome) is outcome
     empty = outcome._replace(trials=[], probable=Explanations(0.0, 1.0, (), ()))
     assert case.search.beside_something_unknown(case.last, current, empty) is empty

@@ -32,7 +32,7 @@ from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.judging.judged_log import JudgedLog, in_doubt, judge_log, with_more_simulations
+from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.candidates import (
     RankedEffect,
     are_near_twins,
@@ -42,6 +42,7 @@ from pmcl.criticism.naming.candidates import (
     untried,
 )
 from pmcl.criticism.naming.formula_trials import FormulaCandidates, remarkable_formulas
+from pmcl.criticism.naming.judged_models import JudgedModels
 from pmcl.criticism.naming.lost_robot import Recovery, recover
 from pmcl.criticism.naming.probability import (
     CREDIBLE,
@@ -52,7 +53,7 @@ from pmcl.criticism.naming.probability import (
     with_probabilities,
 )
 from pmcl.criticism.naming.refits import Refits
-from pmcl.criticism.scoring.scores import Direction, candidate_directions, instance_key
+from pmcl.criticism.scoring.scores import Direction, instance_key
 from pmcl.criticism.settings import Settings
 from pmcl.errors import FilterError
 from pmcl.logs.robot_log import RobotLog
@@ -111,27 +112,24 @@ class Search:
     ----------
     log : RobotLog
         The log.
-    offered : tuple of Effect
-        Candidates of the catalogue.
+    models : JudgedModels
+        Judges the log under one model after another.
     refits : Refits
         Refits candidates.
-    directions : tuple of Direction
-        Directions of the candidates that the last judged model lacks.
-    judged : JudgedLog
-        The log judged under that model.
     """
 
     def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
-        self.log, self.offered = log, tuple(offered)
-        self.refits = Refits(log, settings)
-        self.directions: tuple[Direction, ...] = ()
-        self.judged: JudgedLog
-        self._ahead: tuple[Fit, JudgedLog] | None = None
+        self.log, self.models, self.refits = log, JudgedModels(log, offered), Refits(log, settings)
 
     @property
     def settings(self) -> Settings:
         """Settings of the run; the numbers of particles may have grown."""
         return self.refits.settings
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """Directions of the candidates that the current model lacks."""
+        return self.models.directions
 
     def use_particles(self, particles: int, finer: int) -> None:
         """Use other numbers of particles from now on.
@@ -146,21 +144,18 @@ class Search:
         self.refits.settings = replace(self.settings, particles=particles, finer=finer)
 
     def judge(self, fit: Fit) -> JudgedFit:
-        """Judge the log under a fit."""
-        self.directions = self._directions_without(fit)
-        if self._ahead is not None and self._ahead[0] is fit:
-            self.judged = self._ahead[1]
-        else:
-            self.judged = judge_log(self.log, fit, self.directions, self.settings)
-        self._ahead = None
+        """Judge the log under a fit; candidates are refitted beside its model from now on."""
         self.refits.forget()
-        return JudgedFit(fit, self.judged.scored, self.judged.judgement)
+        return self.models.judge(fit, self.settings)
+
+    def judge_again(self, last: JudgedFit) -> JudgedFit:
+        """Judge a model with more simulated logs; refitted candidates are kept."""
+        return self.models.judge_again(last, self.settings)
 
     def refuted(self, outcome: Outcome) -> bool:
         """Return whether the log raises an alarm, beyond doubt, also under the model that a search has accepted.
 
-        It is not asked where nothing is left to be tried. The judgement is kept for :meth:`judge`, so that it costs
-        nothing if the answer stays.
+        It is not asked where nothing is left to be tried.
 
         Parameters
         ----------
@@ -169,25 +164,8 @@ class Search:
         """
         if outcome.accepted is None or outcome.exhausted:
             return False
-        judgement = self._judge_ahead(outcome.accepted.fit).judgement
+        judgement = self.models.judge_ahead(outcome.accepted.fit, self.settings)
         return bool(judgement.raised) and not in_doubt(judgement)
-
-    def _judge_ahead(self, fit: Fit) -> JudgedLog:
-        """Judge the log under a fit that may become the current model, and keep that for :meth:`judge`."""
-        directions = self._directions_without(fit)
-        judged = judge_log(self.log, fit, directions, self.settings)
-        if in_doubt(judged.judgement):
-            judged = with_more_simulations(judged, self.log, fit, directions, self.settings)
-        self._ahead = (fit, judged)
-        return judged
-
-    def judge_again(self, last: JudgedFit) -> JudgedFit:
-        """Judge a model with more simulated logs; refitted candidates are kept."""
-        self.judged = with_more_simulations(self.judged, self.log, last.fit, self.directions, self.settings)
-        return replace(last, scored=self.judged.scored, judgement=self.judged.judgement)
-
-    def _directions_without(self, fit: Fit) -> tuple[Direction, ...]:
-        return candidate_directions(fit.bound.model.effects, fit.tables, self.log, self.offered)
 
     def recover(self, fit: Fit, follow: Callable[[Fit], None]) -> Recovery | None:
         """Look for an effect with which the filter follows, see :func:`pmcl.criticism.naming.lost_robot.recover`.
@@ -199,7 +177,7 @@ class Search:
         follow : callable
             ``follow(fit)`` raises FilterError when the filter of a fitted model does not follow the robot.
         """
-        self.directions = self._directions_without(fit)
+        self.models.look_for_what_lacks(fit)
         return recover(fit, self.directions, self.refits, follow)
 
     def effect_shown_by_data(self, last: JudgedFit, current: Trial) -> Outcome | None:
@@ -293,7 +271,8 @@ class Search:
             # Formulas compete whatever the alarm is worth: an effect outside the catalogue looks like one that is in
             # it, and would be told by that name.
             if formulas is None:
-                formulas = remarkable_formulas(last, self.judged, self.log, self.settings, _leading(trials, probable))
+                leading = _leading(trials, probable)
+                formulas = remarkable_formulas(last, self.models.current, self.log, self.settings, leading)
                 chosen = formulas.chosen
             if not chosen and refuted is not None:
                 chosen = rest()
@@ -350,7 +329,7 @@ class Search:
         of = self._explanations(last, current, trials, formulas).of
         best = max(trials, key=lambda trial: of(_effect(trial)))
         try:
-            p_value = self._judge_ahead(best.fit).judgement.p_value
+            p_value = self.models.judge_ahead(best.fit, self.settings).p_value
         except FilterError:  # with the effect the filter loses the robot: there are no alarms to go by
             return outcome
         probable = self._explanations(last, current, trials, formulas, p_value)
