@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from pmcl.errors import SamplingError
 from pmcl.filtering.estimated_path import plausible_theta
-from pmcl.filtering.linearised_evidence import LinearisedEvidence, improved
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.interrupts import check_interrupt
-from pmcl.models.robot_model import BoundModel, RobotModel
-from pmcl.sampling.near_mode import smoothed_means
+from pmcl.models.robot_model import BoundModel
+from pmcl.sampling.near_mode import improved_paths, smoothed_means
 from pmcl.sampling.point_estimates import likeliest_along, line_hessian, mean_log_joint, standard_errors
 from pmcl.sampling.stopwatch import Stopwatch
 from pmcl.sampling.transforms import Unconstrained
@@ -68,15 +67,10 @@ def joint_mode(
     rng, transform = make_rng(np.random.SeedSequence((seed, 67))), Unconstrained(bound.parameters)
     limits = np.array([parameter.prior.ppf([_LOWEST, _HIGHEST]) for parameter in bound.parameters], dtype=float)
     theta = np.clip(plausible_theta(bound, rng), *limits.T)
-    # Each log's path is improved by itself.
-    singles = [_single(bound, number) for number in range(len(bound.logs))]
     paths = smoothed_means(bound, theta, rng)
     for _ in range(iterations):
         check_interrupt()
-        paths = tuple(
-            improved(LinearisedEvidence(single, theta, [path]), theta).references[0]
-            for single, path in zip(singles, paths, strict=True)
-        )
+        paths = improved_paths(bound, theta, paths)
         new = np.clip(likeliest_along(bound, theta, transform, [path[None] for path in paths]), *limits.T)
         settled = np.allclose(new, theta, rtol=_SETTLED, atol=0.0)
         theta = new
@@ -89,10 +83,3 @@ def joint_mode(
     information = -line_hessian(lambda value: mean_log_joint(bound, transform.from_line(value)[0], stacked), u)
     held = [name for name, value, limit in zip(bound.names, theta, limits, strict=True) if value in limit]
     return theta, standard_errors(transform, u, information), held, paths
-
-
-def _single(bound: BoundModel, number: int) -> BoundModel:
-    if len(bound.logs) == 1:
-        return bound
-    model: RobotModel = bound.model
-    return model.bind(bound.logs[number])

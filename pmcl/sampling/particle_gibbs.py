@@ -21,7 +21,7 @@ from pmcl.sampling.stages import Stage
 from pmcl.sampling.state import SweepInfo, into_blob
 from pmcl.sampling.sweep import ChainStart, start_chain
 from pmcl.sampling.transport import Schedule, Transport
-from pmcl.sampling.tuning import lost_chains, restarted, tuned_schedule, tuned_transports
+from pmcl.sampling.tuning import lost_chains, near_their_modes, restarted, tuned_schedule, tuned_transports
 
 __all__ = ["run_particle_gibbs"]
 
@@ -88,12 +88,13 @@ def run_particle_gibbs(
             if following.complete:  # no later stage needs what this one would be used for
                 continue
             state = restarted(state, lost)
-            if transported:
+            if transported and stage.settings.data_rate:
+                run = session.pool.map if session.pool is not None else map
+                state, transports = near_their_modes(bound, backend, state, source, schedule, options.seed, run)
+            elif transported:
                 transports = tuned_transports(bound, backend, stage, lost, schedule)
-                if any(transport is None for transport in transports):
-                    _logger.warning(
-                        "the model offers no usable linearisation at the mean trajectory: no transport moves"
-                    )
+            if transports is not None and any(transport is None for transport in transports):
+                _logger.warning("the model offers no usable linearisation at the mean trajectory: no transport moves")
     sweeps, moves = stages[-1].settings.sweeps, stages[-1].settings.transport_moves
     outcome: dict[str, SettingValue] = {
         "sweeps_per_draw": sweeps if sweeps is not None else schedule.sweeps,

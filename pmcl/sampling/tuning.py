@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from emcee.state import State
@@ -13,13 +14,15 @@ from numpy.typing import NDArray
 from pmcl.errors import SamplingError
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
+from pmcl.sampling.linearised_start import ChainAt, LinearisedStart, LinearisedStarter
 from pmcl.sampling.marginals import marginals_of
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.transport import Proposal, Schedule, Transport, linearised_at
+from pmcl.streams import stream
 
-__all__ = ["lost_chains", "restarted", "tuned_schedule", "tuned_transports"]
+__all__ = ["lost_chains", "near_their_modes", "restarted", "tuned_schedule", "tuned_transports"]
 
 _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
@@ -47,7 +50,7 @@ _EASY_JUMPS = 0.5
 # A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their own
 # standard deviations and by this many nats: well mixed chains differ by a few nats, a lost robot by hundreds.
 _LOST_SPREADS, _LOST_NATS = 8.0, 40.0
-# Proposals in the first tuning stage, before draws tell better: 10 % of each positive parameter.
+# Proposals in the first tuning stage where no curvature is known: 10 % of each positive parameter.
 _FIRST_PROPOSAL = 0.1
 
 
@@ -159,24 +162,79 @@ def tuned_transports(
     transform = Unconstrained(bound.parameters)
     source = np.array([lost.get(k, k) for k in range(thetas.shape[1])])
     d = thetas.shape[2]
-    if stage.settings.data_rate:
-        # Draws made while data was being included say nothing about the shape of the posterior.
-        proposal = Proposal(_FIRST_PROPOSAL * np.eye(d))
-    else:
-        u = transform.to_line(thetas)[:, np.unique(source)]
-        within = (u - u.mean(axis=0)).reshape(-1, d)
-        marginals = marginals_of(u.reshape(-1, d))
-        normal = marginals.to_normal(u.reshape(-1, d))
-        overall = normal - normal.mean(axis=0)
-        jitter = 1e-8 * np.eye(d)
-        root = 2.38 / math.sqrt(d) * np.linalg.cholesky(within.T @ within / within.shape[0] + jitter)
-        spread = np.linalg.cholesky(overall.T @ overall / overall.shape[0] + jitter)
-        proposal = Proposal(root, normal.mean(axis=0), spread, marginals)
+    u = transform.to_line(thetas)[:, np.unique(source)]
+    within = (u - u.mean(axis=0)).reshape(-1, d)
+    marginals = marginals_of(u.reshape(-1, d))
+    normal = marginals.to_normal(u.reshape(-1, d))
+    overall = normal - normal.mean(axis=0)
+    jitter = 1e-8 * np.eye(d)
+    root = 2.38 / math.sqrt(d) * np.linalg.cholesky(within.T @ within / within.shape[0] + jitter)
+    spread = np.linalg.cholesky(overall.T @ overall / overall.shape[0] + jitter)
+    proposal = Proposal(root, normal.mean(axis=0), spread, marginals)
     transports = []
     for k in source:
         reference = included(bound, paths[k], max(bound.lengths))
         transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, proposal, schedule))
     return transports
+
+
+def near_their_modes(
+    bound: BoundModel,
+    backend: StageBackend,
+    state: State,
+    source: NDArray[np.int64],
+    schedule: Schedule,
+    seed: int,
+    run: Callable[..., Iterable[LinearisedStart | None]],
+) -> tuple[State, list[Transport | None]]:
+    """Return where chains go on when all data are included, and a linearisation for each.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    backend : StageBackend
+        The steps of the inclusion.
+    state : emcee.State
+        States of all chains, lost ones replaced.
+    source : ndarray of int, shape (chains,)
+        The chain whose steps each chain goes on from.
+    schedule : Schedule
+        How often which move is made.
+    seed : int
+        Seed of the run.
+    run : callable
+        ``map``, or that of a pool.
+
+    Returns
+    -------
+    state : emcee.State
+    transports : list of Transport or None
+        None where the model offers no usable linearisation.
+    """
+    thetas, paths = backend.get_chain()[backend.window], backend.window_mean()
+    chains = [
+        ChainAt(
+            thetas[:, k].mean(axis=0), paths[k], state.blobs["path"][number],
+            stream(seed, "start near the mode", number),
+        )
+        for number, k in enumerate(source)
+    ]
+    starts = list(run(LinearisedStarter(bound, schedule), chains))
+    coords, log_prob, blobs = state.coords.copy(), state.log_prob.copy(), state.blobs.copy()
+    transports: list[Transport | None] = []
+    for number, (start, chain) in enumerate(zip(starts, chains, strict=True)):
+        if start is None:
+            # Draws made while data was being included say nothing about the shape of the posterior.
+            proposal = Proposal(_FIRST_PROPOSAL * np.eye(bound.dimension))
+            reference = included(bound, chain.mean_path, max(bound.lengths))
+            transports.append(linearised_at(bound, chain.theta, reference, proposal, schedule))
+            continue
+        transports.append(start.transport)
+        if start.theta is not None:
+            coords[number], log_prob[number] = start.theta, start.log_joint
+            blobs["path"][number], blobs["log_joint"][number] = start.path, start.log_joint
+    return State(coords, log_prob=log_prob, blobs=blobs, random_state=state.random_state), transports
 
 
 def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:

@@ -146,7 +146,8 @@ def stop_at(monkeypatch, owner, name, count):
     [
         ("pmcl.sampling.particle_gibbs.start_chain", 1, 0),
         ("pmcl.sampling.move.step", 1, 0),
-        ("pmcl.sampling.particle_gibbs.tuned_transports", 2, 13),
+        ("pmcl.sampling.particle_gibbs.near_their_modes", 1, 7),
+        ("pmcl.sampling.particle_gibbs.tuned_transports", 1, 13),
         ("pmcl.sampling.backends.Backend.save_step", 3, 3),
         ("pmcl.sampling.backends.Backend.save_step", 33, 33),
     ],

@@ -1,0 +1,152 @@
+"""Where chains go on once all data are included: to the mode of the linearised posterior that their path belongs to.
+
+While data are included, theta and path follow each other slowly: a noise that fits a poor path keeps it poor. The mode
+of the linearised posterior is found at once (:func:`pmcl.sampling.near_mode.mode_around`), from each chain's own path,
+so that chains that follow the robot to different places find different modes. A chain goes there if a particle filter
+finds more evidence there. What it draws later does not depend on the linearisation; how long it burns in does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmcl.errors import FilterError, ModelError
+from pmcl.filtering.kernels.linear import transport_trial
+from pmcl.filtering.particle_filter import log_joint, make_rng
+from pmcl.models.robot_model import BoundModel
+from pmcl.sampling.near_mode import NearMode, mode_around
+from pmcl.sampling.sweep import included
+from pmcl.sampling.transforms import Unconstrained
+from pmcl.sampling.transport import Proposal, Schedule, Transport, linearised_at
+
+__all__ = ["ChainAt", "LinearisedStart", "LinearisedStarter"]
+
+Float = NDArray[np.float64]
+
+
+class ChainAt(NamedTuple):
+    """Where a chain is when all data are included.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (d,)
+        Mean of its parameters over the last sweeps.
+    mean_path : ndarray, shape (sum of T_l, D)
+        Mean of its trajectories.
+    path : ndarray, shape (sum of T_l, D)
+        Its last trajectories.
+    seed : SeedSequence
+        The random numbers of its start follow from it.
+    """
+
+    theta: Float
+    mean_path: Float
+    path: Float
+    seed: np.random.SeedSequence
+
+
+class LinearisedStart(NamedTuple):
+    """What a chain goes on with.
+
+    Attributes
+    ----------
+    transport : Transport
+        Linearisation around the mode, with proposals of its curvature.
+    theta : ndarray, shape (d,), optional
+        A draw of the linearised posterior; None where the chain stays where it is.
+    path : ndarray, shape (sum of T_l, D), optional
+        The trajectories for it.
+    log_joint : float
+        log p(theta, trajectories, readings).
+    """
+
+    transport: Transport
+    theta: Float | None = None
+    path: Float | None = None
+    log_joint: float = math.nan
+
+
+class LinearisedStarter:
+    """A picklable function :class:`ChainAt` -> :class:`LinearisedStart`, or None where there is no linearisation.
+
+    Parameters
+    ----------
+    bound : BoundModel
+        The model bound to its logs.
+    schedule : Schedule
+        How often which transport move is made.
+    """
+
+    def __init__(self, bound: BoundModel, schedule: Schedule) -> None:
+        self.bound, self.schedule = bound, schedule
+
+    def __call__(self, chain: ChainAt) -> LinearisedStart | None:
+        """Return what the chain goes on with."""
+        bound, transform = self.bound, Unconstrained(self.bound.parameters)
+        paths = [np.ascontiguousarray(path) for path in included(bound, chain.mean_path, max(bound.lengths))]
+        near = mode_around(bound, chain.theta, paths)
+        if near is None:
+            return None
+        transport = self._transport(near, transform)
+        if transport is None:
+            return None
+        rng = make_rng(chain.seed)
+        spread = np.linalg.cholesky(near.covariance)
+        theta, _ = transform.from_line(near.centre + spread @ rng.standard_normal(near.centre.size))
+        prior = bound.log_prior(theta)
+        if not prior > -math.inf:
+            return LinearisedStart(transport)
+        noise = [rng.standard_normal(path.shape) for path in paths]
+        try:
+            bound.check(theta)
+            log_evidence, drawn = self._drawn(theta, transport, noise)
+            before, _ = self._drawn(chain.theta, transport, noise)
+        except (FilterError, ModelError):
+            return LinearisedStart(transport)
+        if not log_evidence > before:
+            return LinearisedStart(transport)
+        here = [np.ascontiguousarray(path) for path in included(bound, chain.path, max(bound.lengths))]
+        best, value = self._likeliest(theta, [here, drawn])
+        return LinearisedStart(transport, theta, np.concatenate(best), prior + value)
+
+    def _transport(self, near: NearMode, transform: Unconstrained) -> Transport | None:
+        spread = np.asarray(np.linalg.cholesky(near.covariance), dtype=np.float64)
+        proposal = Proposal(2.38 / math.sqrt(near.centre.size) * spread, near.centre, spread)
+        return linearised_at(
+            self.bound, transform.from_line(near.centre)[0], near.references, proposal, self.schedule
+        )
+
+    def _drawn(self, theta: Float, transport: Transport, noise: Sequence[Float]) -> tuple[float, list[Float]]:
+        """Return a trajectory of each log that the linearised model draws, and how much evidence it shows.
+
+        The density of a draw over the density with which it was drawn is an unbiased estimate of the evidence, up to a
+        factor that does not depend on theta. A linear model that is wrong far from the reference makes it small.
+        """
+        value, paths, all_tables = 0.0, [], self.bound.tables(theta)
+        for number, (tables, geometry) in enumerate(
+            zip(all_tables, transport.geometries_at(all_tables), strict=True)
+        ):
+            z = noise[number]
+            joint, log_determinant, path = transport_trial(tables, geometry, transport.references[number], z)
+            value += joint - log_determinant + 0.5 * float(np.vdot(z, z)) if joint > -math.inf else -math.inf
+            paths.append(path)
+        return value, paths
+
+    def _likeliest(self, theta: Float, candidates: Sequence[Sequence[Float]]) -> tuple[list[Float], float]:
+        """Return the likeliest trajectory of each log, and the log density of all.
+
+        Trajectories can be compared at one theta: those that belong to another theta are much less likely than draws of
+        the posterior, and so are draws of a linear model where it is wrong.
+        """
+        best, total = [], 0.0
+        for number, tables in enumerate(self.bound.tables(theta)):
+            values = [log_joint(tables, of_logs[number]) for of_logs in candidates]
+            chosen = int(np.argmax(np.where(np.isnan(values), -np.inf, values)))
+            best.append(candidates[chosen][number])
+            total += values[chosen]
+        return best, total
