@@ -22,8 +22,8 @@ __all__ = ["ParticleGibbs"]
 
 # The conditional kernel is exact with any number of particles; the paper's is not, and needs many.
 _PARTICLES: Final = {"conditional": 25, "smoothing": 500}
-# Each sweep of the inclusion of data adds one such part of the longest log, which makes the paper's r. With half as much
-# at a time burn-in takes twice as long, and ends in the same place.
+# Each sweep of the inclusion of data adds one such part of the longest log (the paper's r). With half of that
+# burn-in takes longer, and ends in the same place.
 _INCLUSION_SWEEPS: Final = 25
 # While data is being included the path changes a lot from sweep to sweep, and theta has to follow.
 _INCLUSION_METROPOLIS_STEPS: Final = 10

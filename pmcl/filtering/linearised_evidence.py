@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pmcl.filtering.kernels.linear import factorise
+from pmcl.filtering.kernels.linear import factorise, standardised
 from pmcl.filtering.not_a_number import check_density
 from pmcl.filtering.particle_filter import log_joint
 from pmcl.filtering.reading_information import information_of
@@ -92,13 +92,11 @@ class LinearisedEvidence:
         for number, tables in enumerate(self.bound.tables(theta)):
             reference = self.references[number]
             joint = check_density(log_joint(tables, reference), self.bound, theta, self.references)
-            log_determinant, factor, _, centre = factorise(*self._linear_model(number, tables), reference)
+            # The reference's own standardised deviations are -C[t]' k[t].
+            log_determinant, z = standardised(*self._linear_model(number, tables), reference, reference)
             if not math.isfinite(log_determinant):
                 return -math.inf
-            size = reference.shape[1]
-            lower = np.tril(factor.reshape(-1, size, size))
-            projected = np.einsum("tji,tj->ti", lower, centre)
-            value += joint - log_determinant + 0.5 * float(np.vdot(projected, projected))
+            value += joint - log_determinant + 0.5 * float(np.vdot(z, z))
         return value if math.isfinite(value) else -math.inf
 
     @property
