@@ -101,17 +101,14 @@ class LinearisedStarter:
         prior = bound.log_prior(theta)
         if not prior > -math.inf:
             return LinearisedStart(transport)
-        noise = [rng.standard_normal(path.shape) for path in paths]
+        here = [np.ascontiguousarray(path) for path in included(bound, chain.path, max(bound.lengths))]
         try:
             bound.check(theta)
-            log_evidence, drawn = self._drawn(theta, transport, noise)
-            before, _ = self._drawn(chain.theta, transport, noise)
+            best, value = self._likeliest(theta, [here, self._drawn(theta, transport, rng)])
         except (FilterError, ModelError):
             return LinearisedStart(transport)
-        if not log_evidence > before:
+        if not value > -math.inf:
             return LinearisedStart(transport)
-        here = [np.ascontiguousarray(path) for path in included(bound, chain.path, max(bound.lengths))]
-        best, value = self._likeliest(theta, [here, drawn])
         return LinearisedStart(transport, theta, np.concatenate(best), prior + value)
 
     def _transport(self, near: NearMode, transform: Unconstrained) -> Transport | None:
@@ -121,21 +118,15 @@ class LinearisedStarter:
             self.bound, transform.from_line(near.centre)[0], near.references, proposal, self.schedule
         )
 
-    def _drawn(self, theta: Float, transport: Transport, noise: Sequence[Float]) -> tuple[float, list[Float]]:
-        """Return a trajectory of each log that the linearised model draws, and how much evidence it shows.
-
-        The density of a draw over the density with which it was drawn is an unbiased estimate of the evidence, up to a
-        factor that does not depend on theta. A linear model that is wrong far from the reference makes it small.
-        """
-        value, paths, all_tables = 0.0, [], self.bound.tables(theta)
-        for number, (tables, geometry) in enumerate(
-            zip(all_tables, transport.geometries_at(all_tables), strict=True)
-        ):
-            z = noise[number]
-            joint, log_determinant, path = transport_trial(tables, geometry, transport.references[number], z)
-            value += joint - log_determinant + 0.5 * float(np.vdot(z, z)) if joint > -math.inf else -math.inf
-            paths.append(path)
-        return value, paths
+    def _drawn(self, theta: Float, transport: Transport, rng: np.random.Generator) -> list[Float]:
+        """Return a trajectory of each log that the linearised model draws."""
+        all_tables = self.bound.tables(theta)
+        return [
+            transport_trial(tables, geometry, reference, rng.standard_normal(reference.shape))[2]
+            for tables, geometry, reference in zip(
+                all_tables, transport.geometries_at(all_tables), transport.references, strict=True
+            )
+        ]
 
     def _likeliest(self, theta: Float, candidates: Sequence[Sequence[Float]]) -> tuple[list[Float], float]:
         """Return the likeliest trajectory of each log, and the log density of all.
