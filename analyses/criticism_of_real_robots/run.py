@@ -20,6 +20,7 @@ import numpy as np
 
 from pmcl.criticism.findings.parts import Estimate
 from pmcl.criticism.fitting.quick_fit import LONG, quick_fit
+from pmcl.criticism.fitting.starting_point import starting_point
 from pmcl.criticism.workflow import criticize
 from pmcl.localization.many import localize_many
 from pmcl.logs.bags.read import read_bag
@@ -108,9 +109,14 @@ def errors_of(log: RobotLog, model: RobotModel, estimates: Mapping[str, Estimate
 
 def mount_of(log: RobotLog) -> list[str]:
     """Return mean and standard deviation of angle and shift of the mount, fitted together with a latency."""
-    effects = tuple(effect_named(name).instances(log)[0] for name in ("sensor-yaw", "sensor-latency", "sensor-offset"))
     model = default_model(log)
-    fit = quick_fit(replace(model, effects=effects).bind(log.without_truth()), seed=1, effort=LONG)
+    fit = quick_fit(model.bind(log.without_truth()), seed=1)
+    for name in ("sensor-latency", "sensor-yaw", "sensor-offset"):
+        (effect,) = effect_named(name).instances(log)
+        model = replace(model, effects=(*model.effects, effect))
+        bound = model.bind(log.without_truth())
+        values, path = starting_point(bound, fit, effect, 0.0, np.full(len(effect.null), True))
+        fit = quick_fit(bound, seed=1, theta=np.concatenate([fit.theta, values]), path=path, effort=LONG)
     mean, sd = (dict(zip(fit.bound.names, values, strict=True)) for values in (fit.theta, fit.std))
     names = ("sensor_yaw", "sensor_offset_x", "sensor_offset_y")
     return [f"{values[name]:.4f}" for name in names for values in (mean, sd)]
