@@ -116,7 +116,7 @@ class ParticleGibbs(CalibrationMethod):
         1000, "Particles during burn-in, while rows are being included.", least=2, advice="25 to 1000 are usual"
     )
     settling_sweeps: int = setting(4, "Sweeps of burn-in with all rows before tuning.", least=1)
-    tuning_sweeps: tuple[int, ...] = setting((30, 40, 80), "Sweeps of each round of tuning.", kind=tuple, least=1)
+    tuning_sweeps: tuple[int, ...] = setting((30, 60, 120), "Sweeps of each round of tuning.", kind=tuple, least=1)
     sweeps_per_draw: int | None = setting(
         None,
         "Sweeps from one stored draw to the next.",

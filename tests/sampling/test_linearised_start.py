@@ -20,6 +20,7 @@ from pmcl.maps import OccupancyGrid
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
 from pmcl.models.sensors.lidar.geometry import lengths_along
+from pmcl.sampling import linearised_start
 from pmcl.sampling.linearised_start import ChainAt, LinearisedStarter
 from pmcl.sampling.near_mode import mode_around
 from pmcl.sampling.transforms import Unconstrained
@@ -162,3 +163,31 @@ def test_chains_of_a_drive_with_sharp_bearings_agree(shared_data):
     assert summary["r_hat"].max() <= 1.03
     assert summary["ess_bulk"].min() > 200
     assert summary.loc["sigma_bearing", "mean"] == pytest.approx(0.0195, abs=0.001)
+
+
+def test_draws_of_a_linear_model_show_its_evidence_whatever_they_are(bound, rng):
+    starter = LinearisedStarter(bound, Schedule())
+    transport = starter(chain_at([2.0, 3.0], np.full((T, 1), 50.0))).transport
+    noise = rng.standard_normal((4, T, 1))
+    found = [
+        starter._drawn(np.array(theta), transport, [z])[1]
+        for theta, z in zip(([0.5, 0.4], [0.5, 0.4], [1.5, 0.1]), noise[:3], strict=True)
+    ]
+    exact = [
+        kalman.log_evidence(kalman.linear_model(bound.tables(np.array(theta))[0]), *theta)
+        for theta in ([0.5, 0.4], [1.5, 0.1])
+    ]
+    assert found[1] == pytest.approx(found[0], abs=1e-8)
+    assert found[2] - found[0] == pytest.approx(exact[1] - exact[0], abs=1e-8)
+
+
+def test_a_mode_that_the_linearised_model_only_imagines_is_not_taken(bound, monkeypatch):
+    """Draws show less evidence there, whatever the linearised model says."""
+    path, starter = np.full((T, 1), 50.0), LinearisedStarter(bound, Schedule())
+    near = mode_around(bound, np.array([0.5, 0.4]), [path])
+    imagined = near._replace(centre=np.log([4.0, 0.01]), log_density=1e9)
+    monkeypatch.setattr(linearised_start, "mode_around", lambda *_: imagined)
+    assert starter(chain_at([0.5, 0.4], path)) is None
+    monkeypatch.setattr(linearised_start, "mode_around", lambda *_: near)
+    assert starter(chain_at([0.5, 0.4], path)) is not None
+    assert starter(chain_at(np.exp(near.centre), path)) is not None  # as much as it has itself

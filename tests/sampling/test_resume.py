@@ -121,9 +121,9 @@ def calibrated():
     return calibrate(amigobot_log(6, seed=3), tight_model(), **CALIBRATE)
 
 
-# Steps of the stages on a log of 6 rows: inclusion 10, tuning 30, 40 and 80, then 12 draws.
+# Steps of the stages on a log of 6 rows: inclusion 10, tuning 30, 60 and 120, then 12 draws.
 @pytest.mark.parametrize(
-    "step", [pytest.param(step, marks=pytest.mark.slow if step == 5 else pytest.mark.long) for step in (5, 11, 165)]
+    "step", [pytest.param(step, marks=pytest.mark.slow if step == 5 else pytest.mark.long) for step in (5, 11, 225)]
 )
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(step, calibrated, tmp_path):
     """Killed while data is being included, just after that stage, and among the draws."""
