@@ -17,7 +17,10 @@ from pmcl.models.robot_model import default_model
 from pmcl.sampling.options import RunOptions
 
 FIRST, STEP = -math.pi / 2, math.pi / 179
-SHORT = ParticleGibbs(particles=10, burn_in_particles=100, data_rate=40, settling_sweeps=2, tuning_sweeps=(4, 4))
+# Without transport moves: the search for a mode on a grid of cells makes much of differences in the last digits.
+SHORT = ParticleGibbs(
+    particles=10, burn_in_particles=100, data_rate=40, settling_sweeps=2, tuning_sweeps=(4, 4), transport_moves=0
+)
 # The first 45 s, and where global localization finds that the robot began [m, m, rad].
 ROWS = ("--duration", 45, "--start", "40.09,41.43,-1.67")
 
