@@ -45,7 +45,6 @@ def test_all_recorded_cameras_log_depth():
     unit, least, mean, greatest = depth.parameters["range_is_depth"]
     assert unit == "1"
     assert 0.9 < least < mean < greatest < 1.0
-    assert by_name["odometry-latency"].common
     assert not by_name["landmark-range-scale"].common
 
 
