@@ -2,8 +2,12 @@
 
 While data are included, theta and path follow each other slowly: a noise that fits a poor path keeps it poor. The mode
 of the linearised posterior is found at once (:func:`pmcl.sampling.near_mode.mode_around`), from each chain's own path,
-so that chains that follow the robot to different places find different modes. A chain goes there if a particle filter
-finds more evidence there. What it draws later does not depend on the linearisation; how long it burns in does.
+so that chains that follow the robot to different places find different modes. A chain goes there if draws of the
+linearised model do not show less evidence there than where it is: that of a model with heavy tails may be wrong by far.
+What it draws later does not depend on the linearisation; how long it burns in does.
+
+A bootstrap filter is not asked for the evidence: where readings are sharp, it prefers noise that is several times too
+large, which keeps its few particles alive.
 """
 
 from __future__ import annotations

@@ -49,15 +49,11 @@ class NearMode(NamedTuple):
         Its covariance.
     references : tuple of ndarray, shape (T_l, D)
         The most probable path of each log at a theta near the centre.
-    log_density : float
-        Log of the linearised posterior density at the centre, up to a constant of the model [nat]; NaN where the model
-        cannot be linearised.
     """
 
     centre: Float
     covariance: Float
     references: tuple[Float, ...]
-    log_density: float = math.nan
 
 
 def smoothed_means(bound: BoundModel, theta: Float, rng: np.random.Generator) -> tuple[Float, ...]:
@@ -168,7 +164,7 @@ def mode_around(bound: BoundModel, theta: Float, paths: Sequence[Float]) -> Near
     density, u, references = here.density, here.u, here.references
     values, vectors = np.linalg.eigh(curvature_at(density, u))
     values = np.clip(values, _MOST_SPREAD**-2, _LEAST_SPREAD**-2)
-    return NearMode(u, (vectors / values) @ vectors.T, references, here.value)
+    return NearMode(u, (vectors / values) @ vectors.T, references)
 
 
 def near_mode(bound: BoundModel, seed: int) -> NearMode:
