@@ -47,8 +47,8 @@ _HARD_SWEEPS = 4
 # accepted, too, theta hardly depends on the path's deviations, and every second sweep need not redraw them: that makes
 # 1.2 times the effective draws for the time on a recorded robot, and as many on a map of landmarks.
 _EASY_JUMPS = 0.5
-# A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their own
-# standard deviations and by this many nats: well mixed chains differ by a few nats, a lost robot by hundreds.
+# A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their standard
+# deviations and by this many nats: well mixed chains differ by a few nats, a lost robot by hundreds.
 _LOST_SPREADS, _LOST_NATS = 8.0, 40.0
 # Proposals in the first tuning stage where no curvature is known: 10 % of each positive parameter.
 _FIRST_PROPOSAL = 0.1
@@ -87,10 +87,7 @@ def lost_chains(backend: StageBackend, stage: Stage, longest: int) -> dict[int, 
     # A chain whose few sweeps made no estimate is not called lost.
     best = int(np.argmax(np.where(np.isnan(centre), -np.finfo(float).max, centre)))
     gap = np.where(np.isnan(centre), 0.0, centre[best] - centre)
-    limit = np.inf
-    if stage.restart_lost:
-        spread = 1.4826 * float(_known_median(np.abs(log_evidence[:, best] - centre[best])))
-        limit = max(_LOST_NATS, _LOST_SPREADS * spread)
+    limit = max(_LOST_NATS, _LOST_SPREADS * _spread(log_evidence[:, complete])) if stage.restart_lost else np.inf
     lost = np.flatnonzero(~complete | ~(gap <= limit))
     for chain in lost:
         why = (
@@ -107,6 +104,20 @@ def _known_median(values: Float) -> Float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of a chain without any
         return np.asarray(np.nanmedian(values, axis=0))
+
+
+def _spread(log_evidence: Float) -> float:
+    """Return the standard deviation of estimates (steps, chains) around each chain's own centre; infinite if unknown.
+
+    That of all chains together: a chain may have two estimates that are alike by accident.
+    """
+    known = np.isfinite(log_evidence).sum(axis=0)
+    several = log_evidence[:, known > 1]
+    if not several.size:
+        return math.inf
+    # Around its own centre a chain's few estimates vary less than they do.
+    own = np.abs(several - _known_median(several)) * np.sqrt(known[known > 1] / (known[known > 1] - 1.0))
+    return 1.4826 * float(np.nanmedian(own))
 
 
 def restarted(state: State, lost: dict[int, int]) -> State:

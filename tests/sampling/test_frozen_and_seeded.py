@@ -100,3 +100,14 @@ def test_lost_chains_are_replaced_by_the_best(stages):
     assert lost_chains(_stage(evidence, 9), restarting, 9) == {1: 0}
     assert lost_chains(_stage(evidence, 9), other, 9) == {}
     assert lost_chains(_stage(evidence, np.array([9, 9, 8, 9])), other, 9) == {2: 0}
+
+
+def test_few_noisy_estimates_do_not_make_a_chain_lost(stages):
+    """The best chain's two estimates are alike by accident; those of all chains show how noisy they are."""
+    evidence = np.full((20, 4), np.nan)
+    evidence[[8, 15]] = [[6559.0, 6443.0, 6410.0, 6470.0], [6561.0, 6520.0, 6500.0, 6390.0]]
+    assert lost_chains(_stage(evidence, 9), stages[1], 9) == {}
+    evidence[:, 3] -= 3000.0
+    assert lost_chains(_stage(evidence, 9), stages[1], 9) == {3: 0}
+    evidence[8] = np.nan  # one estimate of each chain tells nothing
+    assert lost_chains(_stage(evidence, 9), stages[1], 9) == {}
