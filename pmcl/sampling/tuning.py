@@ -40,13 +40,14 @@ _SHORTEST_BLOCK, _LONGEST_BLOCK = 4, 24
 # their estimates of the evidence tell whether a chain is lost.
 _SOME_BLOCKS = 0.4
 _SELDOM = 0.1
-# Such a sweep takes less than half of the time of one with particles. Between walls four of them make a stored draw
-# that is worth at least as much as one of two sweeps with particles; two of them left R-hat at 1.01 in the demo.
-_HARD_SWEEPS = 4
-# Where independent proposals are accepted at least this often, a sweep of few of them is worth a draw. Where blocks are
-# accepted, too, theta hardly depends on the path's deviations, and every second sweep need not redraw them: that makes
-# 1.2 times the effective draws for the time on a recorded robot, and as many on a map of landmarks.
-_EASY_JUMPS = 0.5
+# A sweep has as many proposals as leave theta where it is with this probability, within bounds: more of them would
+# move what has moved already. The most are what a sweep has where nothing is known.
+_UNMOVED = 0.1
+_FEWEST_MOVES = 3
+# Where blocks of so many rows or more are accepted, theta hardly depends on the path's deviations: one sweep makes a
+# draw (Creates 1 and 2 of MRCLAM, landmarks: 0.5 to 0.8 effective draws for each). Between walls blocks are shorter,
+# and a sweep gives 0.15 of them; two make a draw there, as everywhere else.
+_LONG_BLOCK = 12
 # A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their standard
 # deviations and by this many nats: well mixed chains differ by a few nats, a lost robot by hundreds.
 _LOST_SPREADS, _LOST_NATS = 8.0, 40.0
@@ -273,9 +274,13 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
         rows = used.block * math.log(_ACCEPTED_BLOCKS) / math.log(blocks)
         schedule = schedule._replace(block=int(np.clip(round(rows), _SHORTEST_BLOCK, _LONGEST_BLOCK)))
     if jumps >= _SOME_JUMPS:
-        schedule = schedule._replace(walk_share=_FEW_WALKS)
+        moves = math.ceil(math.log(_UNMOVED) / math.log(1.0 - jumps)) if jumps < 1.0 else 1
+        moves = int(np.clip(moves, _FEWEST_MOVES, schedule.moves))
+        schedule = schedule._replace(walk_share=_FEW_WALKS, moves=moves)
         if blocks >= _SOME_BLOCKS:
-            schedule = schedule._replace(moves=4, path_share=_SELDOM, sweeps=_HARD_SWEEPS)
-        if jumps >= _EASY_JUMPS:
-            schedule = schedule._replace(moves=3, sweeps=1, redraw_share=0.5 if blocks >= _ACCEPTED_BLOCKS else 1.0)
+            schedule = schedule._replace(path_share=_SELDOM)
+            if schedule.block >= _LONG_BLOCK:
+                # Every second sweep need not redraw the path where blocks are as long as they get.
+                share = 0.5 if schedule.block == _LONGEST_BLOCK else 1.0
+                schedule = schedule._replace(sweeps=1, redraw_share=share)
     return schedule

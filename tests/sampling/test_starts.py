@@ -221,11 +221,12 @@ def test_without_any_estimate_only_a_chain_that_could_not_include_all_rows_is_lo
     [
         (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
         (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=18, sweeps=1)),
-        (0.3, 0.9, Schedule(moves=4, walk_share=0.1, path_share=0.1, sweeps=4)),
-        (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5, sweeps=1)),
+        (0.48, 0.75, Schedule(moves=4, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
+        (0.3, 0.9, Schedule(walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
+        (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5)),
         (0.3, 0.13, Schedule(walk_share=0.1, block=6)),
         (0.3, 1e-6, Schedule(walk_share=0.1, block=4)),
-        (0.3, 1.0, Schedule(moves=4, walk_share=0.1, path_share=0.1, sweeps=4)),
+        (1.0, 1.0, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
         (0.05, 0.9, Schedule()),
         (np.nan, np.nan, Schedule()),
     ],
@@ -236,6 +237,14 @@ def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, sched
     rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, blocks
     rates["transport_jump_rate"][15] = np.nan
     assert tuned_schedule(_Finished(rates), Schedule()) == schedule
+
+
+def test_between_walls_particles_seldom_draw_the_path_and_two_sweeps_make_a_draw():
+    """Blocks of six rows are accepted there as often as they should be."""
+    rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
+    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
+    found = tuned_schedule(_Finished(rates), Schedule(block=6))
+    assert found == Schedule(walk_share=0.1, path_share=0.1, block=5)
 
 
 def test_blocks_stay_as_long_as_they_are_where_as_many_as_should_be_are_accepted():
