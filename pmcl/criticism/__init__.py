@@ -10,8 +10,9 @@
 4. :mod:`~pmcl.criticism.findings`: the result as plain data, its verdict and its sentences.
 5. :mod:`~pmcl.criticism.naming`: the search for the effect that explains an alarm, in the catalogue and among formulas.
 
-:mod:`~pmcl.criticism.loop` joins them, and :mod:`~pmcl.criticism.lost_filter` goes on with another model or a part of
-the log where the filter loses the robot.
+:mod:`~pmcl.criticism.loop` joins them, one step after another on a frozen :mod:`~pmcl.criticism.state`, and
+:mod:`~pmcl.criticism.conclusion` makes the result of the last one. :mod:`~pmcl.criticism.lost_filter` goes on with
+another model or a part of the log where the filter loses the robot.
 
 A package imports only from packages before it. :mod:`~pmcl.criticism.settings` and :mod:`~pmcl.criticism.progress` hold
 the settings of a run and report how far it has come. The result goes to :mod:`pmcl.reports` and to files: JSON, model

@@ -1,34 +1,24 @@
-"""The loop of the critic: fit, judge, name, add and refit, until no alarm is left or none can be explained."""
+"""The loop of the critic: fit, judge, name, add and refit, until no alarm is left or none can be explained.
+
+Each step takes the state of the run and returns a new one (:class:`~pmcl.criticism.state.State`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from pmcl.calibration.particle_gibbs import ParticleGibbs
-from pmcl.calibration.workflow import calibrate
-from pmcl.criticism.findings.assemble import (
-    candidates_of,
-    drawn_estimates,
-    estimates,
-    found_effect,
-    unexplained_of,
-    with_estimates_of,
-    with_window,
-)
-from pmcl.criticism.findings.parts import FoundEffect, Step, Unexplained
-from pmcl.criticism.findings.result import Criticism, JudgedFit
-from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, with_place
+from pmcl.criticism.findings.assemble import candidates_of, found_effect
+from pmcl.criticism.findings.parts import FoundEffect, Step
+from pmcl.criticism.findings.result import JudgedFit
+from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.following import particles_that_follow
-from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap, HeldOut, held_out, predicted_log
-from pmcl.criticism.fitting.next_drive import next_drive
-from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
+from pmcl.criticism.fitting.held_out import Gap, HeldOut, held_out, predicted_log
+from pmcl.criticism.fitting.quick_fit import Fit, quick_fit
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.fitting.when import Acting, acting
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.gross_errors import without_gross_errors
 from pmcl.criticism.naming.lost_robot import Recovery
@@ -36,96 +26,35 @@ from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_re
 from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.settings import FINER, Settings
-from pmcl.errors import FilterError, SamplingError
+from pmcl.criticism.state import Loss, State, Task
+from pmcl.errors import FilterError
 from pmcl.filtering.ahead import compile_for_criticism
-from pmcl.filtering.estimated_path import with_estimates
 from pmcl.filtering.paired_scores import Gain, paired_gain
 from pmcl.logs.robot_log import RobotLog
-from pmcl.models.effects.effect import Effect
-from pmcl.models.effects.formula import path_formulas, portable
-from pmcl.models.robot_model import RobotModel
-from pmcl.posterior.compat import Posterior
 from pmcl.streams import stream_seed
 
-__all__ = ["Loop", "Loss"]
-
-# Parameters of effects cost a density of the whole log for each proposal, and transport moves change them as well.
-_METROPOLIS_STEPS = 2
+__all__ = ["Loop"]
 
 
-class Loss(NamedTuple):
-    """Why not the log as it is and the model that was asked for are criticised: the filter loses the robot.
-
-    Attributes
-    ----------
-    model : RobotModel
-        The model that was asked for.
-    what : str
-        What is missing by that, for the sentence, e.g. "from t=330.5 s on the filter loses the robot".
-    place : Unexplained
-        The rows.
-    partial : bool
-        Whether the log is only a part of the one that was asked for. Otherwise the model has gross errors in addition.
-    """
-
-    model: RobotModel
-    what: str
-    place: Unexplained
-    partial: bool = False
-
-
+@dataclass(frozen=True)
 class Loop:
-    """The state of one run.
-
-    Parameters
-    ----------
-    model : RobotModel
-        The base model.
-    search : Search
-        Searches through the candidates for the log.
-    loss : Loss, optional
-        Why these are not the model and the log that were asked for.
-    notes : sequence of str
-        Notes with which the result begins.
-    other : RobotLog, optional
-        Another log of the robot, on which gaps are shown instead of on the last part of the log.
+    """Adds effects to a model, one in each round.
 
     Attributes
     ----------
-    notes : list of str
-        Limits of the result.
-    steps : list of Step
-        The models so far.
-    answers : list of Answer
-        Accepted effects that the current model has.
-    split : int
-        First row of the held-out part, on which gaps are shown.
-    held_out : HeldOut or None
-        How the last step's model predicts it.
-    nothing_probability : float
-        Posterior probability that the base model lacks nothing; NaN where its filter loses the robot.
+    task : Task
+        The base model, its log, and the search through the candidates.
+    rounds : int
+        Greatest number of effects that are added.
     """
 
-    def __init__(
-        self,
-        model: RobotModel,
-        search: Search,
-        loss: Loss | None = None,
-        notes: Sequence[str] = (),
-        other: RobotLog | None = None,
-    ) -> None:
-        self.base, self.search, self.log, self.loss, self.other = model, search, search.log, loss, other
-        self.notes = list(notes)
-        self.steps: list[Step] = []
-        self.answers: list[Answer] = []
-        self.split = self.log.n_steps if other is not None else round((1.0 - HELD_OUT_SHARE) * self.log.n_steps)
-        self.held_out: HeldOut | None = None
-        self.nothing_probability = np.nan
-        if other is not None:
-            self.notes.append(
-                f"models are fitted to {self.log.where}; gains and gaps are shown on {other.where}, which neither a "
-                "fit nor the choice of a name has used"
-            )
+    task: Task
+    rounds: int
+
+    @property
+    def search(self) -> Search:
+        """The search through the candidates."""
+        return self.task.search
 
     @property
     def settings(self) -> Settings:
@@ -133,137 +62,152 @@ class Loop:
         return self.search.settings
 
     @property
-    def found(self) -> list[FoundEffect]:
-        """Accepted effects that the current model has."""
-        return [answer.found for answer in self.answers]
+    def log(self) -> RobotLog:
+        """The log."""
+        return self.task.log
 
-    def run(self, rounds: int, joint: bool, draws: int, always: bool) -> Criticism:
+    def run(self) -> State:
         """Run the loop.
 
-        Parameters
-        ----------
-        rounds : int
-            Greatest number of effects that are added.
-        joint : bool
-            Whether the final model is calibrated by full chains if an effect was added.
-        draws : int
-            Draws of each full chain.
-        always : bool
-            Whether full chains are run even if no effect was added.
+        Returns
+        -------
+        State
+            With the final model.
 
         Raises
         ------
         FilterError
             When the filter loses the robot and no single effect lets it follow; it tells the row where that is known.
         """
+        state = self.begun()
+        while not state.finished:
+            state = self.after_a_round(state)
+        loss = self.task.loss
+        if loss is not None and loss.model.sensors != self.task.base.sensors:
+            state = self._without_gross_errors(state, loss)
+        return state
+
+    def begun(self) -> State:
+        """Return the state with the base model fitted and judged, and with what it needs for the filter to follow."""
         self.settings.tell("fitting the base model")
-        bound = self.base.bind(self.log)
+        bound = self.task.base.bind(self.log)
         compile_for_criticism(bound.tables(bound.prior_mean())[0])
         fit = quick_fit(bound, stream_seed(self.settings.seed, "fit of the whole log", 0))
-        recovery = self._recovery(fit)
-        first = last = self.search.judge(fit)
-        self._note_single_channel(last)
-        if recovery is not None:
-            last = self._add_recovery(last, recovery)
-        else:
-            self._nothing_is(nothing_without_refits(first.judgement, self.search.directions))
-        for number in range(int(recovery is not None), rounds + 1):
-            if in_doubt(last.judgement) and (self.found or number == rounds):
-                last = self.search.judge_again(last)
-                first = first if self.found else last
-            alarms = last.judgement.raised
-            current = self.search.refits.base_trial(last.fit)
-            shown = self.search.effect_shown_by_data(last, current) if number < rounds else None
-            if shown is not None:
-                self._nothing_is(0.0)
-                self._tell_name(shown)
-                last = self._accept(last, shown, "add {}: the data show it")
-                continue
-            suspicion = None if alarms or number == rounds else self.search.explain_suspicion(last, current)
-            if suspicion is not None:
-                self._nothing_is(suspicion.probable.nothing)
-                self._tell_name(suspicion)
-                last = self._accept(last, suspicion, "add {}: its evidence is clear, though it raised no alarm")
-                continue
-            if not alarms or number == rounds:
-                self._record(last, [], f"stop after {rounds} effects" if alarms else "nothing unusual")
-                break
-            worst = f"{alarms[0].family} ({alarms[0].worst.kind}), p = {alarms[0].p_value:.1e}"
-            self.settings.tell(f"alarm: {worst}", "looking for what explains the alarm")
-            # Beside an accepted effect an alarm in doubt was judged again above.
-            doubted = not self.found and in_doubt(last.judgement)
-            outcome = self.search.explain(last, current, further=not doubted)
-            if doubted and not outcome.certain:
-                first = last = self.search.judge_again(last)
-                if not last.judgement.raised:
-                    self._nothing_is(outcome.probable.nothing)
-                    self._record(last, outcome.trials, "nothing unusual")
-                    break
-                outcome = self.search.explain(last, current)
-            self._tell_name(outcome)
-            if self.search.refuted(outcome):
-                self.settings.tell("that does not explain all of it: trying every other candidate")
-                first_answer, outcome = outcome.accepted, self.search.explain(last, current, refuted=outcome)
-                if outcome.accepted is not first_answer:
-                    self._tell_name(outcome)
-            if outcome.accepted is None:
-                outcome = self.search.beside_something_unknown(last, current, outcome)
-                self._tell_name(outcome)
-            self._nothing_is(outcome.probable.nothing)
-            if outcome.accepted is None:
-                self._record(last, outcome.trials, "nothing known explains it")
-                break
-            last = self._accept(last, outcome, "add {}")
-        if self.loss is not None and self.loss.model.sensors != self.base.sensors:
-            last = self._without_gross_errors(self.loss, last)
-        return self._result(first, last, draws, chains=joint and (bool(self.found) or always))
-
-    def _recovery(self, fit: Fit) -> Recovery | None:
-        """Return None if the filter follows the robot, else an effect with which it does.
-
-        Raises FilterError when there is none.
-        """
+        notes = self.task.notes
+        if self.task.other is not None:
+            notes += (
+                f"models are fitted to {self.log.where}; gains and gaps are shown on {self.task.other.where}, which "
+                "neither a fit nor the choice of a name has used",
+            )
         try:
-            self._follow(fit)
+            notes += self._follow(fit)
         except FilterError as lost:
-            if self.loss is not None:
-                raise
-            recovery = self.search.recover(fit, partial(self._follow, patient=True))
-            if recovery is None:
-                raise
-            when = f"t={self.log.times[lost.row or 0]:g} s"
-            name = recovery.accepted.model.effects[-1].name
-            self.notes.append(f"without {name} the filter loses the robot at {when}")
-            self.settings.tell(f"named {name}: with it the filter follows", "fitting the model with it")
-            return recovery
-        return None
+            recovery, more = self._recovery(fit, lost)
+            judged = self.search.judge(fit)
+            return self._with_recovery(State(judged, judged, notes=notes + more + _on_channels(judged)), recovery)
+        judged = self.search.judge(fit)
+        nothing = nothing_without_refits(judged.judgement, self.search.directions)
+        return self._nothing_is(State(judged, judged, notes=notes + _on_channels(judged)), nothing)
 
-    def _add_recovery(self, last: JudgedFit, recovery: Recovery) -> JudgedFit:
+    def after_a_round(self, state: State) -> State:
+        """Return the state after a round: with one more effect, or finished because nothing is to be added.
+
+        What the data show without a fit comes first, then what raised an alarm; where nothing did, an effect for which
+        the evidence is clear all the same.
+        """
+        last_round = len(state.steps) == self.rounds
+        if in_doubt(state.judged.judgement) and (state.answers or last_round):
+            state = self._judged_again(state)
+        alarms = state.judged.judgement.raised
+        if last_round:
+            return self._finished(state, [], f"stop after {self.rounds} effects" if alarms else "nothing unusual")
+        current = self.search.refits.base_trial(state.judged.fit)
+        shown = self.search.effect_shown_by_data(state.judged, current)
+        if shown is not None:
+            return self._accepted(self._nothing_is(state, 0.0), shown, "add {}: the data show it")
+        if alarms:
+            return self._explained(state, current)
+        suspicion = self.search.explain_suspicion(state.judged, current)
+        if suspicion is None:
+            return self._finished(state, [], "nothing unusual")
+        state = self._nothing_is(state, suspicion.probable.nothing)
+        return self._accepted(state, suspicion, "add {}: its evidence is clear, though it raised no alarm")
+
+    def _explained(self, state: State, current: Trial) -> State:
+        """Return the state with the effect that explains the alarms; finished where nothing does, or no alarm is left.
+
+        Parameters
+        ----------
+        state : State
+            Its model raises alarms.
+        current : Trial
+            That model, scored.
+        """
+        worst = state.judged.judgement.raised[0]
+        what = f"{worst.family} ({worst.worst.kind}), p = {worst.p_value:.1e}"
+        self.settings.tell(f"alarm: {what}", "looking for what explains the alarm")
+        # Beside an accepted effect an alarm in doubt has been judged again already.
+        doubted = not state.answers and in_doubt(state.judged.judgement)
+        outcome = self.search.explain(state.judged, current, further=not doubted)
+        if doubted and not outcome.certain:
+            state = self._judged_again(state)
+            if not state.judged.judgement.raised:
+                state = self._nothing_is(state, outcome.probable.nothing)
+                return self._finished(state, outcome.trials, "nothing unusual")
+            outcome = self.search.explain(state.judged, current)
+        self._tell_name(outcome)
+        if self.search.refuted(outcome):
+            self.settings.tell("that does not explain all of it: trying every other candidate")
+            first_answer, outcome = outcome.accepted, self.search.explain(state.judged, current, refuted=outcome)
+            if outcome.accepted is not first_answer:
+                self._tell_name(outcome)
+        if outcome.accepted is None:
+            outcome = self.search.beside_something_unknown(state.judged, current, outcome)
+            self._tell_name(outcome)
+        state = self._nothing_is(state, outcome.probable.nothing)
+        if outcome.accepted is None:
+            return self._finished(state, outcome.trials, "nothing known explains it")
+        return self._accepted(state, outcome, "add {}", told=True)
+
+    def _judged_again(self, state: State) -> State:
+        """Return the state with its model judged by more simulated logs."""
+        judged = self.search.judge_again(state.judged)
+        return replace(state, judged=judged, first=state.first if state.answers else judged)
+
+    def _recovery(self, fit: Fit, lost: FilterError) -> tuple[Recovery, tuple[str, ...]]:
+        """Return an effect with which the filter follows, and notes; raise the error where there is none."""
+        if self.task.loss is not None:
+            raise lost
+        notes: list[str] = []
+        recovery = self.search.recover(fit, lambda other: notes.extend(self._follow(other, patient=True)))
+        if recovery is None:
+            raise lost
+        name = recovery.accepted.model.effects[-1].name
+        self.settings.tell(f"named {name}: with it the filter follows", "fitting the model with it")
+        return recovery, (*notes, f"without {name} the filter loses the robot at t={self.log.times[lost.row or 0]:g} s")
+
+    def _with_recovery(self, state: State, recovery: Recovery) -> State:
         trial, trials = recovery
-        found = found_effect(trial, (), last.judgement, self.search.directions)
-        return self._added(last, trial, trials, Answer(found), f"add {found.name}: with it the filter follows")
+        found = found_effect(trial, (), state.judged.judgement, self.search.directions)
+        return self._added(state, trial, trials, Answer(found), f"add {found.name}: with it the filter follows")
 
-    def _note_single_channel(self, judged: JudgedFit) -> None:
-        predictions = judged.scored.predictions
-        channels = set(zip(predictions.kind.tolist(), predictions.channel.tolist(), strict=True))
-        if len(channels) < 2:
-            self.notes.append("one channel only: its own errors cannot be told from those of the path")
-
-    def _nothing_is(self, probability: float) -> None:
+    def _nothing_is(self, state: State, probability: float) -> State:
         """Set the probability that the base model lacks nothing, as long as it is the base model that is judged."""
-        if not self.found and self.loss is None:
-            self.nothing_probability = probability
+        if state.answers or self.task.loss is not None:
+            return state
+        return replace(state, nothing_probability=probability)
 
-    def _follow(self, fit: Fit, patient: bool = False) -> None:
-        """Use as many particles as follow the robot from now on; raise FilterError if none do."""
+    def _follow(self, fit: Fit, patient: bool = False) -> tuple[str, ...]:
+        """Use as many particles as follow the robot from now on, and return notes; raise FilterError if none do."""
         particles, note = particles_that_follow(
             fit.bound, fit.theta, self.settings.particles, stream_seed(self.settings.seed, "guard"), patient=patient
         )
-        if note:
-            self.notes.append(note)
-            # Comparisons take most of the time then, and are less noisy than those with fewer particles.
-            finer = FINER if particles < 4 * self.settings.particles else FINER // 2
-            self.search.use_particles(particles, finer)
+        if not note:
+            return ()
+        # Comparisons take most of the time then, and are less noisy than those with fewer particles.
+        finer = FINER if particles < 4 * self.settings.particles else FINER // 2
+        self.search.use_particles(particles, finer)
+        return (note,)
 
     def _tell_name(self, outcome: Outcome) -> None:
         """Tell the user what a search has found, before it takes its time to judge the model with it."""
@@ -273,98 +217,103 @@ class Loop:
                 "judging the model with it",
             )
 
-    def _accept(self, last: JudgedFit, outcome: Outcome, decision: str) -> JudgedFit:
-        """Add the effect that a search accepted; return the model with it, judged."""
+    def _accepted(self, state: State, outcome: Outcome, decision: str, told: bool = False) -> State:
+        """Return the state with the effect that a search accepted; `told` if the user knows it already."""
         assert outcome.accepted is not None
         assert outcome.found is not None
+        if not told:
+            self._tell_name(outcome)
         answer = Answer(outcome.found, outcome.credible)
-        return self._added(last, outcome.accepted, outcome.trials, answer, decision.format(outcome.found.name))
+        return self._added(state, outcome.accepted, outcome.trials, answer, decision.format(outcome.found.name))
 
-    def _added(
-        self, last: JudgedFit, accepted: Trial, trials: Sequence[Trial], answer: Answer, decision: str
-    ) -> JudgedFit:
-        """Record a step that adds an effect; return the model with it, judged."""
-        assert accepted.effect is not None
-        self._record(last, trials, decision, accepted)
-        before, found = self.held_out, answer.found
-        accepted = self._revised(last, accepted)
-        self.held_out = self._predicted(accepted.fit)
-        gain = _gain(self.held_out, before)
-        if self.other is not None and not gain.total > 0.0:
-            self.notes.append(
-                f"{found.name} gains nothing on {self.other.where} ({gain.total:.1f} ± {gain.se:.1f} nats): it belongs "
+    def _added(self, state: State, accepted: Trial, trials: Sequence[Trial], answer: Answer, decision: str) -> State:
+        """Return the state with an effect added, and the model with it judged."""
+        before = self._recorded(state, trials, decision, accepted)
+        state, accepted = self._revised(before, accepted)
+        found, other = answer.found, self.task.other
+        state = replace(state, held_out=self._predicted(accepted.fit))
+        gain = _gain(state.held_out, before.held_out)
+        if other is not None and not gain.total > 0.0:
+            state = state.noted(
+                f"{found.name} gains nothing on {other.where} ({gain.total:.1f} ± {gain.se:.1f} nats): it belongs "
                 f"to {self.log.where} alone, or something else is meant"
             )
-        self.answers.append(answer._replace(found=self._with_gain(found, gain)))
+        answer = answer._replace(found=self._with_gain(found, gain))
         self.settings.tell(
             f"added {with_place(found)}: {gain.total:+.1f} nats on held-out data", "judging the model with it"
         )
-        return self.search.judge(accepted.fit)
+        return replace(state, answers=(*state.answers, answer), judged=self.search.judge(accepted.fit))
 
     def _with_gain(self, found: FoundEffect, gain: Gain) -> FoundEffect:
         return replace(
-            found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.other is None
+            found, log_score_gain=gain.total, log_score_gain_se=gain.se, chosen_on_all_rows=self.task.other is None
         )
 
     def _predicted(self, fit: Fit) -> HeldOut | None:
         """Return how a model predicts the held-out part; None where its filter loses the robot."""
         seed = stream_seed(self.settings.seed, "predictions of a step")
         try:
-            if self.other is not None:
-                return predicted_log(fit, self.other, particles=self.settings.comparing, seed=seed)
-            return held_out(fit, self.split, particles=self.settings.comparing, seed=seed)
+            if self.task.other is not None:
+                return predicted_log(fit, self.task.other, particles=self.settings.comparing, seed=seed)
+            return held_out(fit, self.task.split, particles=self.settings.comparing, seed=seed)
         except FilterError:
             return None
 
-    def _revised(self, last: JudgedFit, accepted: Trial) -> Trial:
-        """Look at earlier effects again, now that the newest one is in the model."""
+    def _revised(self, state: State, accepted: Trial) -> tuple[State, Trial]:
+        """Look at earlier effects again, now that the newest one is in the model; return the model as well."""
         after = revised(
-            accepted, self.answers, len(self.base.effects), partial(log_prior_odds, directions=self.search.directions),
-            partial(self.search.named_again, last), seed=self.search.refits.seed,
+            accepted, state.answers, len(self.task.base.effects),
+            partial(log_prior_odds, directions=self.search.directions),
+            partial(self.search.named_again, state.judged), seed=self.search.refits.seed,
         )  # fmt: skip
-        self.answers = after.answers
-        for name in after.dropped:
-            self.notes.append(f"{name} was added first and dropped when a later effect explained it")
+        answers = list(after.answers)
+        notes = [f"{name} was added first and dropped when a later effect explained it" for name in after.dropped]
         for position, name, without in after.exchanged:
-            answer = self.answers[position]
-            self.notes.append(
+            answer = answers[position]
+            notes.append(
                 f"{name} was added first, and {answer.found.name} took its place, which is more probable in a model "
                 "with a later effect"
             )
             self.settings.tell(f"renamed {name}: {with_place(answer.found)}")
             gain = _gain(self._predicted(after.trial.fit), self._predicted(without.fit))
-            self.answers[position] = answer._replace(found=self._with_gain(answer.found, gain))
-        return after.trial
+            answers[position] = answer._replace(found=self._with_gain(answer.found, gain))
+        return replace(state, answers=tuple(answers)).noted(*notes), after.trial
 
-    def _without_gross_errors(self, loss: Loss, last: JudgedFit) -> JudgedFit:
-        """Return the final model without gross errors, fitted and judged, if it needs none; else the model as it is.
+    def _without_gross_errors(self, state: State, loss: Loss) -> State:
+        """Return the state with the final model without gross errors, if it needs none; else as it is, with a note.
 
         With what was found in it, the filter of the model that was asked for may follow the robot. It then stays if the
         log speaks no more for gross errors than against them.
         """
-        if not self.found:
-            return last
-        without = without_gross_errors(last.fit, loss.model.sensors, self.search.refits, self._follow)
+        if not state.answers:
+            return state
+        notes: list[str] = []
+        without = without_gross_errors(
+            state.judged.fit, loss.model.sensors, self.search.refits, lambda fit: notes.extend(self._follow(fit))
+        )
+        state = state.noted(*notes)
         if without.fit is None:
-            self.notes.append(f"gross errors are still needed: {without.reason}")
-            return last
+            return state.noted(f"gross errors are still needed: {without.reason}")
         try:
-            again = self.search.judge(without.fit)
+            judged = self.search.judge(without.fit)
         except FilterError as error:
-            self.notes.append(f"gross errors are kept: {error}")
-            return last
-        self.notes.append("gross errors were allowed for at first, and dropped when what was found explained them")
-        self.held_out = None
-        self._record(again, [], "allow for no gross errors: with what was found the filter follows")
-        return again
+            return state.noted(f"gross errors are kept: {error}")
+        state = state.noted("gross errors were allowed for at first, and dropped when what was found explained them")
+        state = replace(state, judged=judged, held_out=None)
+        return self._recorded(state, [], "allow for no gross errors: with what was found the filter follows")
 
-    def _record(self, last: JudgedFit, trials: Sequence[Trial], decision: str, accepted: Trial | None = None) -> None:
-        """Append the current model to the steps.
+    def _finished(self, state: State, trials: Sequence[Trial], decision: str) -> State:
+        return replace(self._recorded(state, trials, decision), finished=True)
+
+    def _recorded(
+        self, state: State, trials: Sequence[Trial], decision: str, accepted: Trial | None = None
+    ) -> State:
+        """Return the state with its model among the steps.
 
         Parameters
         ----------
-        last : JudgedFit
-            The model, fitted and judged.
+        state : State
+            With the current model.
         trials : sequence of Trial
             Refitted candidates.
         decision : str
@@ -372,97 +321,19 @@ class Loop:
         accepted : Trial, optional
             The trial that is added to the model.
         """
-        if self.held_out is None:
-            self.held_out = self._predicted(last.fit)
-        gap = self.held_out.gap if self.held_out is not None else Gap(np.nan, np.nan, np.nan)
-        names = tuple(effect.name for effect in last.fit.bound.model.effects)
-        listed = candidates_of(last.judgement, self.search.directions, trials, accepted)
-        self.steps.append(Step(names, gap, last.judgement.alarms, listed, decision, last.judgement.critical_z))
+        judgement, predicted = state.judged.judgement, state.held_out or self._predicted(state.judged.fit)
+        gap = predicted.gap if predicted is not None else Gap(np.nan, np.nan, np.nan)
+        names = tuple(effect.name for effect in state.judged.fit.bound.model.effects)
+        listed = candidates_of(judgement, self.search.directions, trials, accepted)
+        step = Step(names, gap, judgement.alarms, listed, decision, judgement.critical_z)
+        return replace(state, steps=(*state.steps, step), held_out=predicted)
 
-    def _windows(self, fit: Fit, added: Sequence[Effect]) -> list[Acting | None]:
-        """Return when each added effect acts, given a fit of the final model to the whole log."""
-        if added:
-            self.settings.tell("looking for when each effect acts")
-        seed = stream_seed(self.settings.seed, "windows of effects")
 
-        def find(k: int) -> Acting | None:
-            return acting(fit, added[k], particles=self.settings.particles, seed=seed)
-
-        return self.settings.mapped(find, "windows of effects", [effect.name for effect in added])
-
-    def _with_drive(self, answer: Answer) -> FoundEffect:
-        """Return a found effect with the drive that would tell it from its near twins, if it has some."""
-        found, credible = answer
-        if not found.not_distinguishable_from:
-            return found
-        self.settings.tell(f"looking for the drive that would tell {found.name} from its near twins")
-        seed = stream_seed(self.settings.seed, "what to record next")
-        return replace(found, record_next=next_drive(credible, self.log, particles=self.settings.particles, seed=seed))
-
-    def _calibrated(self, model: RobotModel, draws: int) -> Posterior | None:
-        """Run full chains of the final model; return None, and note why, if they lose the robot."""
-        self.settings.tell("calibrating the final model by full chains")
-        reporter = self.settings.reporter
-        try:
-            with reporter.paused():
-                return calibrate(
-                    self.log, model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
-                    seed=self.settings.seed, progress=reporter.live,
-                )  # fmt: skip
-        except (FilterError, SamplingError) as error:
-            self.notes.append(f"there is no posterior by full chains: {error}")
-            return None
-
-    def _result(self, first: JudgedFit, last: JudgedFit, draws: int, chains: bool) -> Criticism:
-        """Return the result; `chains` tells whether full chains of the final model are run."""
-        before, after, posterior = estimates(first.fit), estimates(last.fit), None
-        model = last.fit.bound.model
-        if chains:
-            posterior = self._calibrated(model, draws)
-        if posterior is not None:
-            after = drawn_estimates(last.fit, posterior)
-        elif self.found:
-            after = estimates(
-                quick_fit(
-                    last.fit.bound, stream_seed(self.settings.seed, "long fit"), theta=last.fit.theta,
-                    path=last.fit.path, draws=last.fit.draws, effort=LONG,
-                )
-            )  # fmt: skip
-        added = model.named_effects[len(self.base.effects) :]
-        windows = self._windows(last.fit, added)
-        found = tuple(
-            with_window(with_estimates_of(self._with_drive(answer), effect, after, model.fixed), effect, window)
-            for answer, effect, window in zip(self.answers, added, windows, strict=True)
-        )
-        unexplained = unexplained_of(last, self.search.directions)
-        verdict = verdict_of(found, last.judgement)
-        lost = ""
-        if self.loss is not None and (self.loss.partial or not found):
-            lost = self.loss.what
-            verdict, unexplained = UNKNOWN, (self.loss.place, *unexplained)
-        # The model that is handed over applies to other logs as well: its formulas are evaluated anew on each.
-        model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
-        log = with_estimates(self.log, last.fit.tables, last.fit.path) if path_formulas(model.effects) else self.log
-        return Criticism(
-            verdict=verdict,
-            sentence=sentence_of(verdict, found, unexplained, self.steps, before, after, self.log, lost),
-            effects=found,
-            unexplained=unexplained,
-            steps=tuple(self.steps),
-            base=self.base,
-            model=model,
-            before=before,
-            after=after,
-            log=log,
-            split=self.split,
-            held_out=self.other,
-            first=first,
-            last=last,
-            posterior=posterior,
-            notes=tuple(self.notes),
-            settings=self.settings.recorded(self.split, self.log.fingerprint(), self.other),
-            nothing_probability=self.nothing_probability,
-        )
+def _on_channels(judged: JudgedFit) -> tuple[str, ...]:
+    """Return a note where the log has one channel only."""
+    predictions = judged.scored.predictions
+    channels = set(zip(predictions.kind.tolist(), predictions.channel.tolist(), strict=True))
+    return () if len(channels) > 1 else ("one channel only: its own errors cannot be told from those of the path",)
 
 
 def _gain(after: HeldOut | None, before: HeldOut | None) -> Gain:

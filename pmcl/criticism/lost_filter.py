@@ -1,7 +1,7 @@
 """An answer for every log, also where the filter of the base model loses the robot.
 
 A model that lacks something large loses real robots. What is tried then, in this order, costs a known number of fits:
-first a single effect with which the filter follows (:meth:`~pmcl.criticism.loop.Loop.run`), then gross errors among the
+first a single effect with which the filter follows (:mod:`~pmcl.criticism.loop`), then gross errors among the
 readings, then only the rows before the loss. Where all of that fails, the result says where the robot is lost.
 """
 
@@ -15,9 +15,9 @@ from pmcl.criticism.findings.parts import Step, Unexplained
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE, Gap
-from pmcl.criticism.loop import Loop, Loss
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
+from pmcl.criticism.state import Loss, Task
 from pmcl.errors import CriticismError, FilterError
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.logs.robot_log import RobotLog
@@ -42,7 +42,7 @@ class _Lost(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Runs the critic's loop, with another model or on a part of the log if the filter loses the robot.
+    """Criticises a log, with another model or only a part of the log if the filter loses the robot.
 
     Attributes
     ----------
@@ -51,14 +51,14 @@ class Runs(NamedTuple):
     offered : callable
         Returns the candidates for a log.
     run : callable
-        Runs a loop to its result.
+        Criticises a model on a log; it raises FilterError when the filter loses the robot.
     other : RobotLog, optional
         Another log of the robot, on which gaps are shown.
     """
 
     settings: Settings
     offered: Callable[[RobotLog], Sequence[Effect]]
-    run: Callable[[Loop], Criticism]
+    run: Callable[[Task], Criticism]
     other: RobotLog | None = None
 
     def criticism_of(self, log: RobotLog, base: RobotModel) -> Criticism:
@@ -104,7 +104,7 @@ class Runs(NamedTuple):
 
     def _criticism(self, log: RobotLog, model: RobotModel, loss: Loss | None = None, *notes: str) -> Criticism:
         log = with_estimated_path(log, model, seed=self.settings.seed)
-        return self.run(Loop(model, Search(log, self.offered(log), self.settings), loss, notes, self.other))
+        return self.run(Task(model, Search(log, self.offered(log), self.settings), loss, notes, self.other))
 
     def _before_the_loss(self, log: RobotLog, base: RobotModel, lost: _Lost, tried: str) -> Criticism | None:
         """Criticise a model on the rows before its filter loses the robot; return None if these are too few."""

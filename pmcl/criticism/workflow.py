@@ -10,12 +10,15 @@ import numpy as np
 
 from pmcl import defaults
 from pmcl.criticism.arguments import check_arguments, check_other
+from pmcl.criticism.conclusion import concluded
 from pmcl.criticism.findings.result import Criticism
 from pmcl.criticism.fitting.held_out import HELD_OUT_SHARE
+from pmcl.criticism.loop import Loop
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.progress import Progress
 from pmcl.criticism.scoring.statistics import Statistic, checked_statistics, statistics_in_use
 from pmcl.criticism.settings import Settings
+from pmcl.criticism.state import Task
 from pmcl.errors import CriticismError
 from pmcl.filtering.estimated_path import with_estimated_path
 from pmcl.interrupts import stopping_on_interrupt
@@ -146,6 +149,11 @@ def criticize(
         other = held_out.without_truth()
         check_other(log, other)
         checked_logs((other,), model)
+
+    def run(task: Task) -> Criticism:
+        state = Loop(task, rounds).run()
+        return concluded(task, state, draws=draws if joint and (state.answers or posterior) else 0)
+
     with Progress(progress) as reporter:
         threads = workers or os.cpu_count() or 1
         settings = Settings(
@@ -158,7 +166,7 @@ def criticize(
         runs = Runs(
             settings,
             offered=candidates if effects is None else lambda log: effects,
-            run=lambda loop: loop.run(rounds, joint, draws, always=posterior),
+            run=run,
             other=other,
         )
         found = runs.criticism_of(log, base)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of
-from pmcl.criticism.loop import Loop, Loss
+from pmcl.criticism.loop import Loop
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.naming import gross_errors
 from pmcl.criticism.naming.revision import Answer
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
+from pmcl.criticism.state import Loss, State, Task
 from pmcl.criticism.workflow import criticize
 from pmcl.errors import FilterError, PosteriorError
 from pmcl.logs.mrclam import read_mrclam
@@ -145,9 +147,9 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
     monkeypatch, log, evidence, follows, kept, note
 ):
     plain = default_model(log)
-    one = Loop(with_gross_errors(plain), Search(log, (), SETTINGS), Loss(plain, "", None))
-    one.answers = [Answer(None)]
-    bound = one.base.bind(log)
+    loss = Loss(plain, "", None)
+    task = Task(with_gross_errors(plain), Search(log, (), SETTINGS), loss)
+    bound = task.base.bind(log)
     theta = bound.prior_mean()
     known = dict(zip(bound.names, theta, strict=True))
     fit = SimpleNamespace(bound=bound, path=np.zeros((240, 3)), values=lambda: known)
@@ -156,6 +158,7 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
     def followed(fit):
         if not follows:
             raise FilterError("made", row=3)
+        return ()
 
     def fit_again(bound, seed, *, theta, path):
         fitted.append((bound.names, theta))
@@ -165,20 +168,21 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
     monkeypatch.setattr(gross_errors, "compile_for_criticism", lambda tables: None)
     monkeypatch.setattr(gross_errors, "trial_of_base", lambda fit, **_: fit)
     monkeypatch.setattr(gross_errors, "evidence_between", lambda trial, without: evidence)
-    monkeypatch.setattr(one, "_follow", followed)
-    monkeypatch.setattr(one, "_record", lambda *given, **_: one.steps.append(given))
-    monkeypatch.setattr(one.search, "judge", lambda fit: "judged again")
-    last = SimpleNamespace(fit=fit)
-    after = one._without_gross_errors(one.loss, last)
-    assert after == (last if kept else "judged again")
-    assert len(one.steps) == (0 if kept else 1)
-    assert note in one.notes[0]
+    monkeypatch.setattr(Loop, "_follow", lambda self, fit: followed(fit))
+    monkeypatch.setattr(Loop, "_recorded", lambda self, state, *_: replace(state, steps=(*state.steps, "recorded")))
+    monkeypatch.setattr(task.search, "judge", lambda fit: "judged again")
+    before = State(SimpleNamespace(fit=fit), None, (Answer(None),))
+    after = Loop(task, rounds=3)._without_gross_errors(before, loss)
+    assert after.judged == (before.judged if kept else "judged again")
+    assert len(after.steps) == (0 if kept else 1)
+    assert note in after.notes[0]
+    assert (before.steps, before.notes) == ((), ())
     names, values = fitted[0]
     assert names == bound.names[:-1]
     np.testing.assert_array_equal(values, theta[:-1])
     # Without anything found there is nothing that could have replaced them.
-    one.answers = []
-    assert one._without_gross_errors(one.loss, last) is last
+    nothing = replace(before, answers=())
+    assert Loop(task, rounds=3)._without_gross_errors(nothing, loss) is nothing
 
 
 def test_a_lost_robot_is_part_of_the_sentence(log):
