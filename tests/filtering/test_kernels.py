@@ -13,6 +13,7 @@ from pmcl.engine import contract
 from pmcl.engine.compile import entry
 from pmcl.engine.student import log_normal_tail
 from pmcl.filtering.kernels import smc  # noqa: F401  (smc imports the implementations)
+from pmcl.maps.walls import WallMap
 from pmcl.models.sensor import sensor_of
 
 # mypy: disable-error-code="no-untyped-def"
@@ -407,7 +408,7 @@ def test_linearised_range_readings(rng):
     for t in range(6):
         precision, shift = np.zeros((3, 3)), np.zeros(3)
         contract.linear_information(beams, linear, t, precision, shift)
-        # Only the beams that were linearised: clipped ones and those that see an edge were left out.
+        # Only the beams that were linearised: clipped ones and those on the wrong side of an edge were left out.
         row = np.full_like(beams.reading, np.nan)
         used = linear.channel[linear.first[t] : linear.first[t + 1]]
         row[t, used] = beams.reading[t, used]
@@ -419,6 +420,29 @@ def test_linearised_range_readings(rng):
             atol=1e-3,
         )
         assert np.linalg.eigvalsh(precision).min() > -1e-9
+
+
+@pytest.mark.parametrize(("lateral", "reading", "kept"), [
+    (0.01, 1.02, True),
+    (-0.01, 2.97, True),  # the ray passes the wall's end and meets the wall behind
+    (0.01, 2.97, False),  # the reading is that of the other side
+    (-0.01, 1.02, False),
+    (0.0, 1.0, False),  # on the edge itself there is no slope
+])  # fmt: skip
+def test_a_beam_at_an_edge_is_linearised_on_the_side_where_its_reading_fits(lateral, reading, kept, rng):
+    """A wall ahead at 1 m ends beside the ray, one at 3 m does not."""
+    walls = WallMap(np.array([[[1.0, -2.0], [1.0, lateral]], [[3.0, -2.0], [3.0, 2.0]]]))
+    vertices, start, stop = walls.vertices_and_edges()
+    reference = np.zeros((5, 3))
+    beams = made_tables.range_beams(reference, rng)._replace(
+        vertices=vertices.copy(), wall_start=start, wall_stop=stop, beam_pose=np.zeros((1, 3)),
+        reading=np.full((5, 1), reading), bias=np.zeros(1), scale=np.ones(1), std=np.full(1, 0.02),
+        outlier_weight=np.zeros(1), max_range=10.0,
+    )  # fmt: skip
+    linear = sensor_of(beams).linearise(beams, reference)
+    assert linear.reading.size == (5 if kept else 0)
+    if kept:
+        np.testing.assert_allclose(linear.jacobian[0], [-1.0, 0.0, 0.0], atol=1e-4)
 
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
