@@ -60,7 +60,7 @@ def run(bound, method, seconds, seed):
         with peak_memory() as peak:
             found = draw(method, bound, CHAINS, seed, stopwatch)
     except PmclError as error:
-        return None, stopwatch, math.nan, str(error)
+        return None, stopwatch, math.nan, str(error).replace(f"{DATA}{os.sep}", "")  # of this machine
     stopwatch.stop()
     return found, stopwatch, peak.value, ""
 
