@@ -158,7 +158,7 @@ def test_chains_of_a_drive_with_sharp_bearings_agree(shared_data):
     The chains of a version that went on from there ended with an R-hat of 1.12.
     """
     log = read_mrclam(shared_data / "mrclam7", 3, 0.5)
-    posterior = calibrate(log, draws=150, seed=2)
+    posterior = calibrate(log, draws=300, seed=2)
     summary = arviz.summary(posterior)
     assert summary["r_hat"].max() <= 1.03
     assert summary["ess_bulk"].min() > 200
