@@ -90,8 +90,8 @@ def _linear_readings(table: Any, reference: Float) -> LinearReadings:
         with np.errstate(invalid="ignore"):
             slope, kink = _slope(table, reference, value, d, _TINY)
             far_slope, bend = _slope(table, reference, value, d, step)
-            # A reference so near an edge that already the slope goes across it has no slope.
-            usable &= np.isfinite(bend) & (kink < 0.5 * table.std)
+            # A beam that already the slope takes across an edge or a corner has another slope on either side.
+            usable &= np.isfinite(bend) & (kink / _TINY * step < 0.5 * table.std)
             at_edge |= (np.abs(slope - far_slope) * step > 0.5 * table.std) | (bend > 0.5 * table.std)
         jacobian[..., d] = slope
     residual = np.where(usable, z - np.minimum(table.scale * value + table.bias, OPEN_RAY * table.max_range), 0.0)
