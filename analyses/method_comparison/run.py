@@ -3,12 +3,13 @@
     python run.py                                  # adds what results.csv lacks: hours for all logs
     python run.py --logs "landmarks 400" --methods conditional,ekf --seconds 20
     python run.py --coverage 50                    # adds logs to coverage.csv until there are so many
+    python run.py --judge 3000                     # NUTS against conditional SMC with transport moves, into judge.csv
     python run.py --small --output FOLDER
 
 Rows are written as they are made, so that a run can be stopped and gone on with. Each log's last quarter is held out.
 A reference, a long run of conditional SMC with transport moves, is made once for each log and kept in references.json.
 Results: results.csv has a row for each log and method; means.csv its means, for each parameter; coverage.csv a row for
-each simulated log, method and parameter, whose truth was drawn from the prior.
+each simulated log, method and parameter, whose truth was drawn from the prior; judge.csv the means of both judges.
 """
 
 import argparse
@@ -19,6 +20,7 @@ import math
 import os
 from pathlib import Path
 
+import arviz
 import numpy as np
 
 from pmcl.comparison.curves import Reference, learning_curve, reference_of
@@ -170,6 +172,28 @@ def cover(folder, count, methods, seconds, rows):
             add(folder / "coverage.csv", made)
 
 
+def judge(folder, log, methods):
+    """Add the means of exact methods that share no code, with their Monte Carlo errors."""
+    bound = default_model(log).bind(log)
+    for method, budget in methods.items():
+        found, stopwatch, _, why = run(bound, parse_methods(method)[0], budget, SEED)
+        if found is None:
+            raise SystemExit(f"{method}: {why}")
+        made = []
+        for k, name in enumerate(bound.names):
+            draws = found.theta[..., k]
+            error, ess, r_hat = (
+                float(np.squeeze(number))
+                for number in (arviz.mcse(draws, method="mean"), arviz.ess(draws), arviz.rhat(draws))
+            )
+            made.append({
+                "method": method, "parameter": name, "mean": f"{draws.mean():.6g}", "sd": f"{draws.std():.6g}",
+                "error": f"{error:.3g}", "ess": f"{ess:.5g}", "r_hat": f"{r_hat:.5f}",
+                "cpu": f"{stopwatch.cpu_seconds:.5g}",
+            })  # fmt: skip
+        add(folder / "judge.csv", made)
+
+
 def main():
     """Add what is missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -177,6 +201,7 @@ def main():
     parser.add_argument("--methods", default="", help="methods as for 'pmcl compare'")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each method")
     parser.add_argument("--coverage", type=int, default=0, help="number of simulated logs; no other comparison then")
+    parser.add_argument("--judge", type=float, default=0.0, help="seconds of NUTS; no other comparison then")
     parser.add_argument("--rows", type=int, default=60, help="rows of each log of --coverage")
     parser.add_argument("--small", action="store_true", help="seconds instead of hours, for the tests")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent, help="folder of the results")
@@ -185,6 +210,9 @@ def main():
         log = simulate_landmark_field(60, seed=0)
         compare(given.output, "landmarks 60", log, "conditional,least-squares,prior", 1.0)
         cover(given.output, 2, "conditional,least-squares", 0.5, 30)
+        judge(given.output, log, {"conditional": 0.5, "ekf": 0.5})
+    elif given.judge:
+        judge(given.output, LOGS["landmarks 400"](), {"conditional": 60.0, "nuts": given.judge})
     elif given.coverage:
         cover(given.output, given.coverage, given.methods or COVERED, given.seconds, given.rows)
     else:
