@@ -15,6 +15,7 @@ from pmcl.engine.compile import generic
 __all__ = [
     "NOT_ASKED",
     "deviation_of_state",
+    "draw_precision",
     "draw_start",
     "has_reading",
     "linear_information",
@@ -69,6 +70,15 @@ def propagate(motion, t, rng, previous, current, scratch):
 @generic
 def transition_logpdf(motion, t, previous, current, logp, scratch):
     """Add log p(current | previous) for each of `previous` (D, n) to `logp` (n,); `current` (D,) is one state at t."""
+
+
+@generic
+def draw_precision(motion, t, before, after, rng, precision):
+    """Draw the precision of each component of the noise of one step, relative to its scale, given the step.
+
+    Of motion whose noise is a scale mixture of Gaussians, such as Student's t; `before` (D,) and `after` (D,) are the
+    states at t - 1 and t. Returns whether the step has precisions; optional, by default none has.
+    """
 
 
 @generic
@@ -177,6 +187,11 @@ def states_asked(sensor):
 
     Few are enough for their mean. A sensor registers a number if they cost it much more than the density.
     """
+
+
+@draw_precision.register(object)
+def _no_mixture(motion, t, before, after, rng, precision):
+    return False
 
 
 @reading_count.register(object)

@@ -36,6 +36,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 from pmcl.sampling.marginals import Marginals
+from pmcl.sampling.scale_mixture import Precisions, heavy_tailed
 from pmcl.sampling.transforms import Unconstrained
 
 __all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "transport_moves"]
@@ -190,6 +191,8 @@ class Transport:
         For each log: the sensor tables that the geometries were made from.
     schedule : Schedule
         How often which move is made.
+    mixture : bool
+        Whether the precisions of heavy-tailed motion noise are drawn first (:mod:`pmcl.sampling.scale_mixture`).
     """
 
     references: tuple[Float, ...]
@@ -197,6 +200,7 @@ class Transport:
     proposal: Proposal
     sensors: tuple[tuple[Any, ...], ...] = ()
     schedule: Schedule = _USUAL
+    mixture: bool = False
 
     def geometries_at(self, all_tables: Sequence[Tables]) -> list[tuple[Any, ...]]:
         """Return the linearised readings under some theta: sensors and maps may have moved with it."""
@@ -254,6 +258,7 @@ def linearised_at(
         proposal,
         tuple(tables.sensors for tables in all_tables),
         schedule,
+        all(heavy_tailed(tables) for tables in all_tables),
     )
     usable = _standardised(all_tables, transport.geometries, transport.references, references) is not None
     return transport if usable else None
@@ -312,12 +317,14 @@ def transport_moves(
     TransportResult
         Cost: O(T D^3) for each proposal.
     """
+    precisions = Precisions.drawn(all_tables, paths, rng) if transport.mixture else Precisions()
+    tables_here, all_tables = all_tables, precisions.given(all_tables)
     geometries, share = transport.geometries_at(all_tables), transport.schedule.redraw_share
     if share == 1.0 or rng.random() < share:
         redrawn, log_joint, redraw_rate = _redrawn(all_tables, geometries, transport, paths, rng)
     else:
         redrawn, redraw_rate = list(paths), math.nan
-        log_joint = math.fsum(log_density(tables, path) for tables, path in zip(all_tables, paths, strict=True))
+        log_joint = _log_density(all_tables, paths)
     start = _standardised(all_tables, geometries, transport.references, redrawn)
     if start is None:
         return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)
@@ -326,13 +333,14 @@ def transport_moves(
     proposal = transport.proposal
     u = transform.to_line(theta)
     _, log_jacobian = transform.from_line(u)
-    current = log_joint + log_jacobian - log_determinant
+    current = log_joint + log_jacobian - log_determinant + precisions.log_density(tables_here)
     normal = rng.standard_normal((n_moves, theta.size))
     stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n_moves))
     log_uniform = np.log(rng.random(n_moves))
     walks = rng.random(n_moves) < transport.schedule.walk_share
     if proposal.centre is None:
         walks[:] = True
+    follow = rng.random(n_moves) < 0.5 if precisions.logs else np.zeros(n_moves, bool)
     # Independent proposals do not depend on where the chain is: all of a sweep are made at once.
     if not walks.all():
         jumps = proposal.independent(normal, stretch)
@@ -354,24 +362,37 @@ def transport_moves(
         if not prior > -math.inf:
             continue
         tables_new = bound.tables(theta_new)
+        precisions_new, log_slope = precisions, 0.0
+        if follow[move]:
+            precisions_new, log_slope = precisions.following(tables_here, tables_new)
+        given_new = precisions_new.given(tables_new)
         trials = [
             _Trial(*transport_trial(*of_log))
-            for of_log in zip(tables_new, transport.geometries_at(tables_new), transport.references, z, strict=True)
+            for of_log in zip(given_new, transport.geometries_at(given_new), transport.references, z, strict=True)
         ]
         joint_new = math.fsum(trial.log_joint for trial in trials)
         joint_new = prior + check_density(joint_new, bound, theta_new, [trial.path for trial in trials])
         if not joint_new > -math.inf:  # impossible there, or the linearised path has no factorisation
             continue
         value = joint_new + log_jacobian - math.fsum(trial.log_determinant for trial in trials)
-        if log_uniform[move] < value - current + log_back - log_forward:
+        value += precisions_new.log_density(tables_new)
+        if log_uniform[move] < value - current + log_slope + log_back - log_forward:
             accepted[kind] += 1
             theta, u, current, log_joint = theta_new, u_new, value, joint_new
+            precisions, tables_here = precisions_new, tables_new
             log_here = log_forward if kind == _JUMP else None
             paths = [trial.path for trial in trials]
     walk_rate, jump_rate = (
         accepted[kind] / proposed[kind] if proposed[kind] else math.nan for kind in (_WALK, _JUMP)
     )
+    if precisions.logs:  # they were held fixed, and are now forgotten
+        log_joint = bound.log_prior(theta) + _log_density(bound.tables(theta), paths)
     return TransportResult(theta, paths, log_joint, walk_rate, jump_rate, redraw_rate)
+
+
+def _log_density(all_tables: Sequence[Tables], paths: Sequence[Float]) -> float:
+    """Return the log density of all logs' paths and readings."""
+    return math.fsum(log_density(tables, path) for tables, path in zip(all_tables, paths, strict=True))
 
 
 def _redrawn(

@@ -277,10 +277,10 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
         moves = math.ceil(math.log(_UNMOVED) / math.log(1.0 - jumps)) if jumps < 1.0 else 1
         moves = int(np.clip(moves, _FEWEST_MOVES, schedule.moves))
         schedule = schedule._replace(walk_share=_FEW_WALKS, moves=moves)
-        if blocks >= _SOME_BLOCKS:
-            schedule = schedule._replace(path_share=_SELDOM)
-            if schedule.block >= _LONG_BLOCK:
-                # Every second sweep need not redraw the path where blocks are as long as they get.
-                share = 0.5 if schedule.block == _LONGEST_BLOCK else 1.0
-                schedule = schedule._replace(sweeps=1, redraw_share=share)
+        if blocks >= _SOME_BLOCKS and schedule.block >= _LONG_BLOCK:
+            # Every second sweep need not redraw the path where blocks are as long as they get.
+            share = 0.5 if schedule.block == _LONGEST_BLOCK else 1.0
+            schedule = schedule._replace(sweeps=1, redraw_share=share)
+    if blocks >= _SOME_BLOCKS:
+        schedule = schedule._replace(path_share=_SELDOM)
     return schedule

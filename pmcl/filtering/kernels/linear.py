@@ -8,13 +8,16 @@ from __future__ import annotations
 import numpy as np
 
 from pmcl.engine.compile import entry, kernel
-from pmcl.engine.contract import deviation_of_state, state_of_deviation, state_size
+from pmcl.engine.contract import deviation_of_state, draw_precision, state_of_deviation, state_size
 from pmcl.engine.vector_math import total
 from pmcl.filtering.kernels.densities import joint_logpdf
 from pmcl.filtering.kernels.factorisation import Factors, eliminate, factorise
 from pmcl.filtering.kernels.forward import work_rows
 
-__all__ = ["Factors", "factorise", "realise", "refresh_blocks", "standardise", "standardised", "transport_trial"]
+__all__ = [
+    "Factors", "draw_precisions", "factorise", "realise", "refresh_blocks", "standardise", "standardised",
+    "transport_trial",
+]  # fmt: skip
 
 # A path that a nearly singular factorisation carries further than this [m or rad] is impossible: the Earth is 4e7 m
 # around. Beyond 1e15 rad the kernels' sine is no number, and with it the path's density.
@@ -144,6 +147,32 @@ def transport_trial(tables, linear_readings, reference, z):
             columns[d, t] = carried[t, d]
     log_joint = joint_logpdf(tables, columns, np.empty(n_steps), np.empty((work_rows(tables), max(n_steps, size))))
     return log_joint, log_determinant, carried
+
+
+@entry
+def draw_precisions(tables, path, rng):
+    """Draw the precisions of the motion's noise along a path, relative to its scale.
+
+    Parameters
+    ----------
+    tables
+        Coefficients under some theta.
+    path : ndarray, shape (T, D)
+        The path.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    precision : ndarray, shape (T, 3)
+        Those of forward, left and turn noise; one where a row has none.
+    drawn : ndarray of bool, shape (T,)
+        Rows that have precisions: those that a step of the motion leads to.
+    """
+    precision, drawn = np.ones((path.shape[0], 3)), np.zeros(path.shape[0], np.bool_)
+    for t in range(1, path.shape[0]):
+        drawn[t] = draw_precision(tables.motion, t, path[t - 1], path[t], rng, precision[t])
+    return precision, drawn
 
 
 @kernel

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pmcl.engine.compile import generic, kernel
 from pmcl.engine.contract import (
     deviation_of_state,
+    draw_precision,
     draw_start,
     linearise_start,
     linearise_transition,
@@ -103,6 +104,13 @@ def _path_logpdf(motion, n_steps, path, logp, scratch):
             for d in range(size):
                 state[d] = path[d, t]
             start_logpdf(belief_at(seams.start, seams, k), state.reshape(size, 1), logp[t : t + 1])
+
+
+@draw_precision.register(JoinedMotion)
+def _draw_precision(motion, t, before, after, rng, precision):
+    if seam_at(motion.seams, t) >= 0:
+        return False
+    return draw_precision(motion.motion, t, before, after, rng, precision)
 
 
 @linearise_transition.register(JoinedMotion)

@@ -7,6 +7,7 @@ import math
 from pmcl.engine.compile import generic, kernel
 from pmcl.engine.contract import (
     deviation_of_state,
+    draw_precision,
     linearise_transition,
     path_transition_logpdf,
     propagate,
@@ -197,6 +198,31 @@ def _along_path(motion, n_steps, path, logp, scratch):
             variance = keep * keep * variance * (1.0 - gain * wander) + 1.0 - keep * keep
             std = math.sqrt(total)
         logp[t] += value + student_logpdf(turn / std, motion.extras.tail, constant) - math.log(std)
+
+
+@draw_precision.register(IncrementMotion, MotionExtras, WanderingExtras)
+def _draw_precision(motion, t, before, after, rng, precision):
+    tail, mean, std = motion.extras.tail, motion.mean, motion.std
+    if tail <= 0.0:
+        return False
+    c, s = math.cos(before[2]), math.sin(before[2])
+    dx, dy = after[0] - before[0], after[1] - before[1]
+    ahead, aside, turn = dx * c + dy * s, dy * c - dx * s, after[2] - before[2] - mean[t, 2]
+    if before.shape[0] > 3:
+        turn -= _memory_of_turn(motion.extras, t)[0] * before[3]
+    grip = _grip(motion.extras.patches, before[0], before[1])
+    if motion.extras.slip_weight > 0.0:
+        constant, log_slip = student_constant(tail), _log_slip(motion)
+        f, g = (ahead - grip * mean[t, 0]) / std[t, 0], (aside - grip * mean[t, 1]) / std[t, 1]
+        held = student_logpdf(f, tail, constant) + student_logpdf(g, tail, constant) + log_slip[1]
+        if math.log(rng.random()) > held - _translation_logpdf(motion, t, ahead, aside, grip, constant, log_slip):
+            grip *= 1.0 - motion.extras.slip_share
+    f, g = (ahead - grip * mean[t, 0]) / std[t, 0], (aside - grip * mean[t, 1]) / std[t, 1]
+    h, half = turn / std[t, 2], 0.5 / tail
+    precision[0] = rng.standard_gamma(half + 0.5) / (half + 0.5 * f * f)
+    precision[1] = rng.standard_gamma(half + 0.5) / (half + 0.5 * g * g)
+    precision[2] = rng.standard_gamma(half + 0.5) / (half + 0.5 * h * h)
+    return True
 
 
 @kernel

@@ -1,0 +1,140 @@
+"""Student's t as a mixture of Gaussians, so that motion with heavy tails can be linearised.
+
+Noise with Student's t, v degrees of freedom and scale s is Gaussian with standard deviation s / sqrt(w), if its
+precision w is drawn from a gamma distribution of shape v / 2 and mean one (Dempster, Laird and Rubin 1980; West 1987,
+Biometrika 74). Given the path and theta, the precisions are independent and gamma distributed again. A sweep therefore
+draws them first and then moves theta and path with the precisions given: the motion is Gaussian meanwhile, and a step
+that went far astray has a noise to match. Both parts leave the joint distribution of theta, path and precisions
+unchanged, and with it that of theta and path.
+
+Where a proposal changes v, the precisions either stay as they are, or follow: their logarithms keep their place, in
+standard deviations from the mean of the distribution. The first serves where the readings tell of each step how far it
+went astray, the second where they do not; half of the proposals do the one, half the other (compare the interweaving
+of Yu and Meng 2011, J. Comput. Graph. Stat. 20).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma, polygamma
+
+from pmcl.filtering.kernels.linear import draw_precisions
+from pmcl.models.motions.joined.table import JoinedMotion, parts_of_joined
+from pmcl.models.tables import Tables
+
+__all__ = ["Precisions", "heavy_tailed"]
+
+Float = NDArray[np.float64]
+
+# Inverse degrees of freedom from which on the precisions are worth drawing. Below, the noise is so nearly Gaussian that
+# proposals are accepted more often without them, since the precisions tie down the degrees of freedom. Effective draws
+# for each CPU second with and without: 14 and 55 between walls, where the posterior mean is 0.045; 6 and 3 in a
+# landmark field with 0.10; 9 and 0.2 on Create 1 of MRCLAM with 0.49.
+_HEAVY = 0.08
+
+
+@dataclass(frozen=True)
+class Precisions:
+    """The precisions of the noise of each log's steps, relative to its scale; none where all noise is Gaussian.
+
+    Attributes
+    ----------
+    logs : tuple of ndarray, shape (T_l, 3)
+        For each log: the logarithms of the precisions of forward, left and turn noise.
+    used : tuple of ndarray of bool, shape (T_l,)
+        For each log: the rows that a step of the motion leads to.
+    """
+
+    logs: tuple[Float, ...] = ()
+    used: tuple[NDArray[np.bool_], ...] = ()
+
+    @classmethod
+    def drawn(cls, all_tables: Sequence[Tables], paths: Sequence[Float], rng: np.random.Generator) -> Precisions:
+        """Draw the precisions given the paths.
+
+        Parameters
+        ----------
+        all_tables : sequence of Tables
+            Coefficients of each log under some theta.
+        paths : sequence of ndarray, shape (T_l, D)
+            The path of each log.
+        rng : numpy.random.Generator
+            Source of randomness; not used where the noise is Gaussian.
+
+        Returns
+        -------
+        Precisions
+        """
+        if not all(_tail(tables) > 0.0 for tables in all_tables):
+            return cls()
+        drawn = [draw_precisions(tables, path, rng) for tables, path in zip(all_tables, paths, strict=True)]
+        return cls(tuple(np.log(precision) for precision, _ in drawn), tuple(used for _, used in drawn))
+
+    def given(self, all_tables: Sequence[Tables]) -> Sequence[Tables]:
+        """Return tables of the model given the precisions: its motion has Gaussian noise."""
+        if not self.logs:
+            return all_tables
+        return [_gaussian(*of_log) for of_log in zip(all_tables, self.logs, strict=True)]
+
+    def following(self, old: Sequence[Tables], new: Sequence[Tables]) -> tuple[Precisions, float]:
+        """Carry the precisions to other degrees of freedom: their logarithms keep their place in the distribution.
+
+        Parameters
+        ----------
+        old, new : sequence of Tables
+            Coefficients of each log under the current and the proposed theta.
+
+        Returns
+        -------
+        carried : Precisions
+        log_slope : float
+            Log determinant of this map of the precisions' logarithms.
+        """
+        carried, log_slope = [], 0.0
+        for before, after, log, used in zip(old, new, self.logs, self.used, strict=True):
+            (centre, spread), (new_centre, new_spread) = _of_logarithms(_tail(before)), _of_logarithms(_tail(after))
+            carried.append(np.where(used[:, None], new_centre + new_spread / spread * (log - centre), 0.0))
+            log_slope += 3 * np.count_nonzero(used) * math.log(new_spread / spread)
+        return Precisions(tuple(carried), self.used), log_slope
+
+    def log_density(self, all_tables: Sequence[Tables]) -> float:
+        """Return the log density of the precisions' logarithms under the model of the tables."""
+        value = 0.0
+        for tables, log, used in zip(all_tables, self.logs, self.used, strict=False):  # none where all are Gaussian
+            shape, kept = 0.5 / _tail(tables), log[used]
+            value += kept.size * (shape * math.log(shape) - math.lgamma(shape))
+            value += shape * float((kept - np.exp(kept)).sum())
+        return value
+
+
+def heavy_tailed(tables: Tables) -> bool:
+    """Return whether the motion's noise strays so far from a Gaussian that its precisions are worth drawing."""
+    return _tail(tables) > _HEAVY
+
+
+def _tail(tables: Tables) -> float:
+    """Return the inverse degrees of freedom of the motion's noise; 0 where it is Gaussian."""
+    motion: Any = parts_of_joined(tables)[0].motion
+    return float(getattr(getattr(motion, "extras", None), "tail", 0.0))
+
+
+def _of_logarithms(tail: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the logarithm of a precision, given the inverse degrees of freedom."""
+    shape = 0.5 / tail
+    return float(digamma(shape)) - math.log(shape), math.sqrt(float(polygamma(1, shape)))
+
+
+def _gaussian(tables: Tables, log_precision: Float) -> Tables:
+    """Return tables whose motion has Gaussian noise, with the precisions of each row."""
+    plain, seams = parts_of_joined(tables)
+    motion: Any = plain.motion
+    motion = motion._replace(
+        std=motion.std * np.exp(-0.5 * log_precision), extras=motion.extras._replace(tail=0.0)
+    )
+    return tables._replace(motion=motion if seams is None else JoinedMotion(motion, seams))
