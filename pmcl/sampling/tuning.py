@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from emcee.autocorr import integrated_time
 from emcee.state import State
 from numpy.typing import NDArray
 
@@ -44,10 +45,14 @@ _SELDOM = 0.1
 # move what has moved already. The most are what a sweep has where nothing is known.
 _UNMOVED = 0.1
 _FEWEST_MOVES = 3
-# Where blocks of so many rows or more are accepted, theta hardly depends on the path's deviations: one sweep makes a
-# draw (Creates 1 and 2 of MRCLAM, landmarks: 0.5 to 0.8 effective draws for each). Between walls blocks are shorter,
-# and a sweep gives 0.15 of them; two make a draw there, as everywhere else.
-_LONG_BLOCK = 12
+# A draw has as many sweeps as make it worth this many independent ones, by the autocorrelation of the sweeps before:
+# a thousand draws of four chains are then worth some 1600. The most are where more time would change little. Without
+# enough steps to measure an autocorrelation (15 of four chains gave numbers without meaning) a draw has two sweeps.
+_EFFECTIVE_DRAWS = 0.4
+_MOST_SWEEPS = 6
+_ENOUGH_STEPS = 50
+# The share of a stage's steps that such a measurement leaves out at its beginning.
+_SETTLING = 0.25
 # A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their standard
 # deviations and by this many nats: well mixed chains differ by a few nats, a lost robot by hundreds.
 _LOST_SPREADS, _LOST_NATS = 8.0, 40.0
@@ -277,10 +282,14 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
         moves = math.ceil(math.log(_UNMOVED) / math.log(1.0 - jumps)) if jumps < 1.0 else 1
         moves = int(np.clip(moves, _FEWEST_MOVES, schedule.moves))
         schedule = schedule._replace(walk_share=_FEW_WALKS, moves=moves)
-        if blocks >= _SOME_BLOCKS and schedule.block >= _LONG_BLOCK:
+        if blocks >= _SOME_BLOCKS:
             # Every second sweep need not redraw the path where blocks are as long as they get.
             share = 0.5 if schedule.block == _LONGEST_BLOCK else 1.0
-            schedule = schedule._replace(sweeps=1, redraw_share=share)
-    if blocks >= _SOME_BLOCKS:
-        schedule = schedule._replace(path_share=_SELDOM)
+            schedule = schedule._replace(path_share=_SELDOM, redraw_share=share)
+    draws = backend.get_chain()
+    draws = draws[int(_SETTLING * draws.shape[0]) :]
+    if draws.shape[0] >= _ENOUGH_STEPS:
+        with np.errstate(invalid="ignore"):  # a parameter that did not move has none
+            time = np.nanmax(integrated_time(draws, tol=0, quiet=True), initial=1.0)
+        schedule = schedule._replace(sweeps=int(np.clip(math.ceil(_EFFECTIVE_DRAWS * time), 1, _MOST_SWEEPS)))
     return schedule

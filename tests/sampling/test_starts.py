@@ -162,14 +162,17 @@ def test_a_step_is_a_function_of_its_arguments():
 
 
 class _Finished:
-    """A backend with the blobs of a finished stage."""
+    """A backend with the blobs of a finished stage, and its chain where that counts."""
 
-    def __init__(self, blobs: Any) -> None:
-        self.blobs = blobs
+    def __init__(self, blobs: Any, chain: Any = None) -> None:
+        self.blobs, self.chain = blobs, chain
         self.window = slice(-_tuning_stage().window, None)
 
     def get_blobs(self) -> Any:
         return self.blobs
+
+    def get_chain(self) -> Any:
+        return self.chain
 
 
 def _stage_blobs(evidence: Any, rows: Any) -> Any:
@@ -219,14 +222,14 @@ def test_without_any_estimate_only_a_chain_that_could_not_include_all_rows_is_lo
 @pytest.mark.parametrize(
     ("jumps", "blocks", "schedule"),
     [
-        (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
-        (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=18, sweeps=1)),
-        (0.48, 0.75, Schedule(moves=4, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
-        (0.3, 0.9, Schedule(walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
+        (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
+        (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=18)),
+        (0.48, 0.75, Schedule(moves=4, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
+        (0.3, 0.9, Schedule(walk_share=0.1, path_share=0.1, redraw_share=0.5)),
         (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5)),
         (0.3, 0.13, Schedule(walk_share=0.1, block=6)),
         (0.3, 1e-6, Schedule(walk_share=0.1, block=4)),
-        (1.0, 1.0, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5, sweeps=1)),
+        (1.0, 1.0, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
         (0.05, 0.9, Schedule()),
         (np.nan, np.nan, Schedule()),
     ],
@@ -236,22 +239,35 @@ def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, sched
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, blocks
     rates["transport_jump_rate"][15] = np.nan
-    assert tuned_schedule(_Finished(rates), Schedule()) == schedule
+    assert tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule()) == schedule
 
 
-def test_between_walls_particles_seldom_draw_the_path_and_two_sweeps_make_a_draw():
+def test_between_walls_particles_seldom_draw_the_path():
     """Blocks of six rows are accepted there as often as they should be."""
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
-    found = tuned_schedule(_Finished(rates), Schedule(block=6))
+    found = tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=6))
     assert found == Schedule(walk_share=0.1, path_share=0.1, block=5)
+
+
+@pytest.mark.parametrize(("correlation", "least", "most"), [(0.0, 1, 1), (0.75, 2, 4), (0.98, 3, 6)])
+def test_a_draw_has_more_sweeps_where_the_chain_forgets_slowly(correlation, least, most, rng):
+    """Autoregressive chains have an autocorrelation time of (1 + r) / (1 - r): 1, 7 and 99; few steps show less."""
+    noise = rng.standard_normal((120, 4, 2))
+    chain = noise.copy()
+    for t in range(1, 120):
+        chain[t, :, 1] = correlation * chain[t - 1, :, 1] + np.sqrt(1.0 - correlation**2) * noise[t, :, 1]
+    chain[:, :, 0] = 1.0  # a parameter that did not move
+    rates = np.zeros((120, 4), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
+    assert least <= tuned_schedule(_Finished(rates, chain), Schedule()).sweeps <= most
+    assert tuned_schedule(_Finished(rates, chain[:20]), Schedule()).sweeps == Schedule().sweeps
 
 
 def test_blocks_stay_as_long_as_they_are_where_as_many_as_should_be_are_accepted():
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["path_block_redraw_rate"] = 0.6
     for block in (4, 9, 24):
-        assert tuned_schedule(_Finished(rates), Schedule(block=block)).block == block
+        assert tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=block)).block == block
 
 
 def test_a_chain_that_could_not_include_all_rows_is_lost(rng):
