@@ -46,9 +46,9 @@ class Precisions:
     Attributes
     ----------
     logs : tuple of ndarray, shape (T_l, 3)
-        For each log: the logarithms of the precisions of forward, left and turn noise.
+        For each log: the logarithms of the precisions of forward, left and turn noise; 0 in rows that have none.
     used : tuple of ndarray of bool, shape (T_l,)
-        For each log: the rows that a step of the motion leads to.
+        For each log: the rows that have precisions, since a step of the path leads there.
     """
 
     logs: tuple[Float, ...] = ()
@@ -73,8 +73,14 @@ class Precisions:
         """
         if not all(_tail(tables) > 0.0 for tables in all_tables):
             return cls()
-        drawn = [draw_precisions(tables, path, rng) for tables, path in zip(all_tables, paths, strict=True)]
-        return cls(tuple(np.log(precision) for precision, _ in drawn), tuple(used for _, used in drawn))
+        logs, used = [], []
+        for tables, path in zip(all_tables, paths, strict=True):
+            precision, drawn = draw_precisions(tables, path, rng)
+            # The tables may have more rows than the path.
+            further = _motion(tables).std.shape[0] - len(path)
+            logs.append(np.pad(np.log(precision), ((0, further), (0, 0))))
+            used.append(np.pad(drawn, (0, further)))
+        return cls(tuple(logs), tuple(used))
 
     def given(self, all_tables: Sequence[Tables]) -> Sequence[Tables]:
         """Return tables of the model given the precisions: its motion has Gaussian noise."""
@@ -120,8 +126,12 @@ def heavy_tailed(tables: Tables) -> bool:
 
 def _tail(tables: Tables) -> float:
     """Return the inverse degrees of freedom of the motion's noise; 0 where it is Gaussian."""
-    motion: Any = parts_of_joined(tables)[0].motion
-    return float(getattr(getattr(motion, "extras", None), "tail", 0.0))
+    return float(getattr(getattr(_motion(tables), "extras", None), "tail", 0.0))
+
+
+def _motion(tables: Tables) -> Any:
+    """Return the table of the motion between the seams of joined logs."""
+    return parts_of_joined(tables)[0].motion
 
 
 def _of_logarithms(tail: float) -> tuple[float, float]:

@@ -92,6 +92,18 @@ def test_motion_given_the_precisions_is_gaussian(rng):
     assert_agrees(stats.norm.pdf(1.3, scale=scale), stats.t.pdf(1.3, 1.0 / tail), matters=0.02)
 
 
+def test_a_path_may_be_shorter_than_its_log(rng):
+    bound, sfc = _model(), make_rng(int(rng.integers(2**62)))
+    theta = bound.prior_mean()
+    theta[-1] = 0.3
+    tables = bound.tables(theta)
+    path = _draw_path(tables[0], rng)[:4]
+    precisions = Precisions.drawn(tables, [path], sfc)
+    np.testing.assert_array_equal(precisions.used[0], [False, True, True, True, False, False])
+    assert precisions.given(tables)[0].motion.std.shape == (T, 3)
+    assert not precisions.following(tables, tables)[0].logs[0][4:].any()
+
+
 def test_density_and_map_of_the_precisions(rng):
     """The density is that of logarithms of gamma distributed precisions; the map keeps their place in it."""
     bound = _model()
