@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from pmcl.geometry import compose
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.editing import edit_motion
 from pmcl.models.effects.effect import Effect, Where
+from pmcl.models.motions.increments.kernels.delayed import delayed_increments
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
@@ -82,32 +82,9 @@ def _side_drift(tables: Tables, values: Float, log: RobotLog, where: Where) -> T
 
 def _latency(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
     def edit(mean: Float) -> None:
-        mean[1:] = _delayed(mean, log.times, float(values[0]))
+        mean[1:] = delayed_increments(mean, log.times, float(values[0]))
 
     return _mean(tables, "odometry-latency", edit)
-
-
-def _delayed(mean: Float, times: Float, delay: float) -> Float:
-    """Return increments (T - 1, 3) of the odometry path `delay` [s] ago; the robot rests before and after the log."""
-    n = mean.shape[0]
-    heading = np.concatenate([[0.0], np.cumsum(mean[1:, 2])])
-    path = np.zeros((n, 3))
-    path[:, 2] = heading
-    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
-    path[1:, 0] = np.cumsum(c * mean[1:, 0] - s * mean[1:, 1])
-    path[1:, 1] = np.cumsum(s * mean[1:, 0] + c * mean[1:, 1])
-    when = times - delay
-    into = np.clip(np.searchsorted(times, when, side="right"), 1, n - 1)
-    share = np.clip((when - times[into - 1]) / (times[into] - times[into - 1]), 0.0, 1.0)[:, None]
-    then = compose(path[into - 1], share * mean[into])
-    turned = heading[into - 1] + share[:, 0] * mean[into, 2]
-    step = np.diff(then[:, :2], axis=0)
-    c, s = np.cos(turned[:-1]), np.sin(turned[:-1])
-    out = np.empty((n - 1, 3))
-    out[:, 0] = c * step[:, 0] + s * step[:, 1]
-    out[:, 1] = c * step[:, 1] - s * step[:, 0]
-    out[:, 2] = np.diff(turned)
-    return out
 
 
 ODOMETRY_EFFECTS = (
