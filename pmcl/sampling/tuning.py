@@ -46,10 +46,11 @@ _SELDOM = 0.1
 _UNMOVED = 0.1
 _FEWEST_MOVES = 3
 # A draw has as many sweeps as make it worth this many independent ones, by the autocorrelation of the sweeps before:
-# a thousand draws of four chains are then worth some 1600. The most are where more time would change little. Without
-# enough steps to measure an autocorrelation (15 of four chains gave numbers without meaning) a draw has two sweeps.
+# a thousand draws of four chains are then worth some 1600. More than two are not made: a chain that needs more has
+# mostly not met the others, and three times the time would not change that (Create 3 of MRCLAM with gross errors).
+# Without enough steps to measure an autocorrelation (15 of four chains gave numbers without meaning) there are two.
 _EFFECTIVE_DRAWS = 0.4
-_MOST_SWEEPS = 6
+_MOST_SWEEPS = 2
 _ENOUGH_STEPS = 50
 # The share of a stage's steps that such a measurement leaves out at its beginning.
 _SETTLING = 0.25
