@@ -65,7 +65,7 @@ class ParticleGibbs(CalibrationMethod):
     tuning_sweeps : tuple of int
         Sweeps of each round of tuning.
     sweeps_per_draw : int, optional
-        Sweeps from one stored draw to the next; when left out 1 to 4, fewest where transport moves are easily accepted.
+        Sweeps from one stored draw to the next; when left out one or two, by the autocorrelation that tuning measures.
 
     References
     ----------
@@ -121,7 +121,7 @@ class ParticleGibbs(CalibrationMethod):
         None,
         "Sweeps from one stored draw to the next.",
         least=1,
-        otherwise="1 to 4, fewest where transport moves are easily accepted",
+        otherwise="one or two, by the autocorrelation that tuning measures",
     )
 
     @property

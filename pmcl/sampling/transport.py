@@ -15,6 +15,9 @@ How many there are of each, and how often particles draw the path besides, is th
 Before them the path may be redrawn block by block from the linearised model, each block accepted or refused by itself.
 Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
 linearised model knows where it may go.
+
+Heavy-tailed motion noise is no Gaussian. Where the tails are heavy, the precision of each step is therefore drawn
+first, and the model given the precisions is linearised (:mod:`pmcl.sampling.scale_mixture`).
 """
 
 from __future__ import annotations
