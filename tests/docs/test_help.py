@@ -88,7 +88,7 @@ def test_settings_without_a_default_of_their_own_say_what_they_become():
     for name, method in {**methods, "em": ExpectationMaximisation()}.items():
         assert f"{method.usual_particles} for {name}" in shown
     assert "by the measured scatter of the evidence for ensemble" in shown
-    assert "Sweeps from one stored draw to the next. [default: 1 to 4, fewest where transport moves are easily" in shown
+    assert "Sweeps from one stored draw to the next. [default: one or two, by the autocorrelation" in shown
     localized = " ".join(_help("localize").split())
     assert f"[default: {defaults.LOCALIZATION_DRAWS}]" in localized
     assert f"[default: {defaults.LOCALIZATION_DRAWS_PER_READING}]" in localized
