@@ -45,13 +45,15 @@ _SELDOM = 0.1
 # move what has moved already. The most are what a sweep has where nothing is known.
 _UNMOVED = 0.1
 _FEWEST_MOVES = 3
-# A draw has as many sweeps as make it worth this many independent ones, by the autocorrelation of the sweeps before:
-# a thousand draws of four chains are then worth some 1600. More than two are not made: a chain that needs more has
-# mostly not met the others, and three times the time would not change that (Create 3 of MRCLAM with gross errors).
-# Without enough steps to measure an autocorrelation (15 of four chains gave numbers without meaning) there are two.
+# One sweep makes a draw, where it is worth this many independent ones by the autocorrelation of the sweeps before: a
+# thousand draws of four chains are then worth some 1600. Elsewhere two do. More are not made: a chain that needs more
+# has mostly not met the others, and three times the time would not change that (Create 3 of MRCLAM, gross errors).
 _EFFECTIVE_DRAWS = 0.4
-_MOST_SWEEPS = 2
+# So many steps are enough to measure an autocorrelation; 15 of four chains gave numbers without meaning.
 _ENOUGH_STEPS = 50
+# Where blocks of the path are shorter than this, between walls, a chain may rest for longer than such a measurement
+# lasts: with one sweep a draw, one run in three had R-hat 1.02.
+_LONG_BLOCK = 12
 # The share of a stage's steps that such a measurement leaves out at its beginning.
 _SETTLING = 0.25
 # A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their standard
@@ -289,8 +291,8 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
             schedule = schedule._replace(path_share=_SELDOM, redraw_share=share)
     draws = backend.get_chain()
     draws = draws[int(_SETTLING * draws.shape[0]) :]
-    if draws.shape[0] >= _ENOUGH_STEPS:
+    if draws.shape[0] >= _ENOUGH_STEPS and schedule.block >= _LONG_BLOCK:
         with np.errstate(invalid="ignore"):  # a parameter that did not move has none
             time = np.nanmax(integrated_time(draws, tol=0, quiet=True), initial=1.0)
-        schedule = schedule._replace(sweeps=int(np.clip(math.ceil(_EFFECTIVE_DRAWS * time), 1, _MOST_SWEEPS)))
+        schedule = schedule._replace(sweeps=1 if _EFFECTIVE_DRAWS * time <= 1.0 else 2)
     return schedule

@@ -261,6 +261,8 @@ def test_a_draw_has_two_sweeps_where_the_chain_forgets_slowly(correlation, sweep
     rates = np.zeros((120, 4), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     assert tuned_schedule(_Finished(rates, chain), Schedule()).sweeps == sweeps
     assert tuned_schedule(_Finished(rates, chain[:20]), Schedule()).sweeps == Schedule().sweeps
+    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
+    assert tuned_schedule(_Finished(rates, chain), Schedule(block=6)).sweeps == 2
 
 
 def test_blocks_stay_as_long_as_they_are_where_as_many_as_should_be_are_accepted():
