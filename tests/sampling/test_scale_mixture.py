@@ -124,6 +124,32 @@ def test_density_and_map_of_the_precisions(rng):
     assert Precisions().given(old_tables) is old_tables
 
 
+@pytest.mark.parametrize("tail", [0.4, 1e-3, 4.9e-5, 1e-8])
+def test_the_density_keeps_its_digits_where_tails_are_light(tail):
+    """Near a Gaussian the logarithms are nearly normal, with the variance of the inverse shape."""
+    bound = _model()
+    theta = bound.prior_mean()
+    theta[-1], shape = tail, 0.5 / tail
+    log = np.sqrt(1.0 / shape) * np.linspace(-2.0, 2.0, 3 * T).reshape(T, 3)
+    found = Precisions((log,), (np.full(T, True),)).log_density(bound.tables(theta))
+    if tail > 1e-5:
+        assert found == pytest.approx(stats.loggamma(shape, loc=-np.log(shape)).logpdf(log).sum(), abs=1e-5)
+    else:
+        assert found == pytest.approx(stats.norm(scale=np.sqrt(1.0 / shape)).logpdf(log).sum(), abs=1e-2)
+
+
+def test_no_precisions_are_possible_where_the_noise_is_gaussian():
+    bound = _model()
+    theta = bound.prior_mean()
+    theta[-1] = 0.3
+    heavy = bound.tables(theta)
+    motion = heavy[0].motion
+    gaussian = [heavy[0]._replace(motion=motion._replace(extras=motion.extras._replace(tail=0.0)))]
+    precisions = Precisions((np.zeros((T, 3)),), (np.arange(T) > 0,))
+    assert precisions.log_density(gaussian) == -np.inf
+    assert precisions.following(heavy, gaussian)[1] == -np.inf
+
+
 def _change(draws, seed, moves=6):
     """Draw parameters, path and readings, and return by how much moves change some functions of them."""
     bound = _model()
