@@ -18,6 +18,7 @@ from scipy.special import digamma, polygamma
 from pmcl.filtering.kernels.linear import draw_precisions
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.geometry import compose
+from pmcl.logs.joined import join_logs
 from pmcl.models.effects.selection import effect_named
 from pmcl.sampling import scale_mixture
 from pmcl.sampling.scale_mixture import Precisions
@@ -102,6 +103,21 @@ def test_a_path_may_be_shorter_than_its_log(rng):
     np.testing.assert_array_equal(precisions.used[0], [False, True, True, True, False, False])
     assert precisions.given(tables)[0].motion.std.shape == (T, 3)
     assert not precisions.following(tables, tables)[0].logs[0][4:].any()
+
+
+def test_where_joined_logs_meet_there_is_no_step(rng):
+    logs = [amigobot_log(T, seed=seed, n_beams=2) for seed in (2, 3)]
+    log, path = join_logs(logs), np.vstack([one.true_poses for one in logs])
+    effects = effect_named("heavy-tailed-motion-noise").instances(log)
+    bound = replace(tight_model(THETA), effects=effects).bind(log)
+    theta = bound.prior_mean()
+    theta[-1] = 0.3
+    tables = bound.tables(theta)
+    precisions = Precisions.drawn(tables, [path], make_rng(1))
+    np.testing.assert_array_equal(np.flatnonzero(~precisions.used[0]), [0, T])
+    given = precisions.given(tables)[0].motion
+    assert given.motion.extras.tail == 0.0
+    np.testing.assert_array_equal(given.motion.std[T], tables[0].motion.motion.std[T])
 
 
 def test_density_and_map_of_the_precisions(rng):
