@@ -16,6 +16,9 @@ Before them the path may be redrawn block by block from the linearised model, ea
 Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
 linearised model knows where it may go.
 
+Where readings may be gross errors, two paths may explain the same log, and neither leads to the other by small steps.
+The path is then redrawn around such readings in a way that changes sides (:mod:`pmcl.sampling.doubtful_rows`).
+
 Heavy-tailed motion noise is no Gaussian. Where the tails are heavy, the precision of each step is therefore drawn
 first, and the model given the precisions is linearised (:mod:`pmcl.sampling.scale_mixture`).
 """
@@ -25,7 +28,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,17 +41,21 @@ from pmcl.filtering.particle_filter import log_joint as log_density
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
+from pmcl.sampling.doubtful_rows import Doubts, doubts_at, redrawn_where_doubtful, shared_doubts
 from pmcl.sampling.marginals import Marginals
 from pmcl.sampling.scale_mixture import Precisions, heavy_tailed
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "transport_moves"]
+__all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "sharing_doubts", "transport_moves"]
 
 Float = NDArray[np.float64]
 
 # Degrees of freedom of the independent proposal: tails heavier than a posterior's are what makes it safe. Its scale
 # matrix is the covariance of the draws, which are few; its own covariance is a third greater.
 _FREEDOM = 8.0
+# Where readings are doubtful, a sweep redraws the path around them so many times: with four instead of one, chains of
+# Create 3 of MRCLAM give 1.9 times the effective draws for the CPU second.
+_DOUBTFUL_REDRAWS = 4
 # The two kinds of proposals.
 _WALK, _JUMP = 0, 1
 
@@ -196,6 +203,8 @@ class Transport:
         How often which move is made.
     mixture : bool
         Whether the precisions of heavy-tailed motion noise are drawn first (:mod:`pmcl.sampling.scale_mixture`).
+    doubts : tuple of Doubts
+        For each log: readings that may be gross errors (:mod:`pmcl.sampling.doubtful_rows`).
     """
 
     references: tuple[Float, ...]
@@ -204,6 +213,7 @@ class Transport:
     sensors: tuple[tuple[Any, ...], ...] = ()
     schedule: Schedule = _USUAL
     mixture: bool = False
+    doubts: tuple[Doubts, ...] = ()
 
     def geometries_at(self, all_tables: Sequence[Tables]) -> list[tuple[Any, ...]]:
         """Return the linearised readings under some theta: sensors and maps may have moved with it."""
@@ -262,9 +272,21 @@ def linearised_at(
         tuple(tables.sensors for tables in all_tables),
         schedule,
         all(heavy_tailed(tables) for tables in all_tables),
+        tuple(map(doubts_at, all_tables, geometries, references)),
     )
     usable = _standardised(all_tables, transport.geometries, transport.references, references) is not None
     return transport if usable else None
+
+
+def sharing_doubts(transports: Sequence[Transport | None]) -> list[Transport | None]:
+    """Return the transports of several chains, each with the doubts of all: another chain may rest elsewhere."""
+    known = [transport for transport in transports if transport is not None]
+    of_logs = [
+        shared_doubts([one.doubts[log] for one in known], [one.geometries[log] for one in known])
+        for log in range(len(known[0].references) if known else 0)
+    ]
+    shared = iter(zip(*of_logs, strict=True))
+    return [None if transport is None else replace(transport, doubts=next(shared)) for transport in transports]
 
 
 def _standardised(
@@ -328,6 +350,8 @@ def transport_moves(
     else:
         redrawn, redraw_rate = list(paths), math.nan
         log_joint = _log_density(all_tables, paths)
+    for _ in range(_DOUBTFUL_REDRAWS if any(doubts.rows.size for doubts in transport.doubts) else 0):
+        redrawn, log_joint = _redrawn_where_doubtful(all_tables, geometries, transport, redrawn, rng)
     start = _standardised(all_tables, geometries, transport.references, redrawn)
     if start is None:
         return TransportResult(theta, list(paths), math.nan, 0.0, math.nan, 0.0)
@@ -419,3 +443,22 @@ def _redrawn(
         log_density += value
         accepted.append(share)
     return new, log_density, float(np.mean(accepted))
+
+
+def _redrawn_where_doubtful(
+    all_tables: Sequence[Tables],
+    geometries: Sequence[tuple[Any, ...]],
+    transport: Transport,
+    paths: Sequence[Float],
+    rng: np.random.Generator,
+) -> tuple[list[Float], float]:
+    """Redraw all paths around doubtful rows; return them and their log density."""
+    new, log_density = [], 0.0
+    for tables, geometry, reference, doubts, old in zip(
+        all_tables, geometries, transport.references, transport.doubts, paths, strict=True
+    ):
+        redrawn = redrawn_where_doubtful(tables, geometry, reference, doubts, old, rng)
+        path, value = (old, _log_density([tables], [old])) if redrawn is None else redrawn
+        new.append(path)
+        log_density += value
+    return new, log_density

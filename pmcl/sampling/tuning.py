@@ -20,7 +20,7 @@ from pmcl.sampling.marginals import marginals_of
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, Schedule, Transport, linearised_at
+from pmcl.sampling.transport import Proposal, Schedule, Transport, linearised_at, sharing_doubts
 from pmcl.streams import stream
 
 __all__ = ["lost_chains", "near_their_modes", "restarted", "tuned_schedule", "tuned_transports"]
@@ -195,7 +195,7 @@ def tuned_transports(
     for k in source:
         reference = included(bound, paths[k], max(bound.lengths))
         transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, proposal, schedule))
-    return transports
+    return sharing_doubts(transports)
 
 
 def near_their_modes(

@@ -15,8 +15,8 @@ from pmcl.filtering.kernels.factorisation import Factors, eliminate, factorise
 from pmcl.filtering.kernels.forward import work_rows
 
 __all__ = [
-    "Factors", "draw_precisions", "factorise", "realise", "refresh_blocks", "standardise", "standardised",
-    "transport_trial",
+    "Factors", "draw_precisions", "factorise", "realise", "realise_row", "refresh_blocks", "standardise",
+    "standardise_row", "standardised", "transport_trial",
 ]  # fmt: skip
 
 # A path that a nearly singular factorisation carries further than this [m or rad] is impossible: the Earth is 4e7 m
@@ -25,7 +25,7 @@ _FARTHEST = 1e9
 
 
 @kernel
-def _standardise(motion, t, inner, path, reference, factors, z, size):
+def standardise_row(motion, t, inner, path, reference, factors, z, size):
     """Write z[t] of a path into `z`: C^T (deviation - centre - gain deviation[t + 1])."""
     c, k_t, centre_t = factors.factor[t], factors.gain[t], factors.centre[t]
     if t < path.shape[0] - 1:
@@ -47,7 +47,7 @@ def _standardise(motion, t, inner, path, reference, factors, z, size):
 
 
 @kernel
-def _realise(motion, t, inner, out, reference, factors, z, size):
+def realise_row(motion, t, inner, out, reference, factors, z, size):
     """Write the state at t that has standardised deviation `z` into ``out[t]``; `z` is overwritten."""
     c, k_t, centre_t = factors.factor[t], factors.gain[t], factors.centre[t]
     for i in range(size - 1, -1, -1):
@@ -73,7 +73,7 @@ def standardise(motion, path, reference, factors, z, size):
     """Write the standardised deviations of a path (T, D) into `z` (T, D); `size` is D."""
     n_steps = path.shape[0]
     for t in range(n_steps):
-        _standardise(motion, t, t < n_steps - 1, path, reference, factors, z[t], size)
+        standardise_row(motion, t, t < n_steps - 1, path, reference, factors, z[t], size)
 
 
 @kernel
@@ -83,7 +83,7 @@ def realise(motion, z, reference, factors, out, work, size):
     for t in range(n_steps - 1, -1, -1):
         for i in range(size):
             work[i] = z[t, i]
-        _realise(motion, t, t < n_steps - 1, out, reference, factors, work, size)
+        realise_row(motion, t, t < n_steps - 1, out, reference, factors, work, size)
 
 
 @entry
@@ -181,11 +181,11 @@ def _redraw(motion, path, reference, begin, stop, factors, noise, out, z, size):
     change = 0.0
     for t in range(stop - 1, begin - 1, -1):
         inner = t < stop - 1
-        _standardise(motion, t, inner, path, reference, factors, z, size)
+        standardise_row(motion, t, inner, path, reference, factors, z, size)
         for i in range(size):
             change += 0.5 * (noise[t, i] * noise[t, i] - z[i] * z[i])
             z[i] = noise[t, i]
-        _realise(motion, t, inner, out, reference, factors, z, size)
+        realise_row(motion, t, inner, out, reference, factors, z, size)
     return change
 
 
