@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.linear_readings import LinearReadings, times_of
-from pmcl.filtering.kernels.doubtful_rows import redraw_doubtful_rows, squared_steps
+from pmcl.filtering.kernels.doubtful_rows import choose_blocks, redraw_doubtful_rows, squared_steps
 from pmcl.models.tables import Tables
 
 __all__ = ["Doubts", "doubts_at", "redrawn_where_doubtful", "shared_doubts"]
@@ -53,7 +53,7 @@ class Doubts(NamedTuple):
     of_sensors: tuple[NDArray[np.bool_] | None, ...]
 
 
-def doubts_at(tables: Tables, geometry: Sequence[Any], reference: Float) -> Doubts:
+def doubts_at(tables: Tables, geometry: Sequence[Any], reference: Float, *, heavy_tails: bool = False) -> Doubts:
     """Return the readings that may be gross errors, or else show a kink of the path.
 
     Parameters
@@ -64,6 +64,8 @@ def doubts_at(tables: Tables, geometry: Sequence[Any], reference: Float) -> Doub
         The linearised readings of each sensor.
     reference : ndarray, shape (T, D)
         The reference trajectory.
+    heavy_tails : bool
+        Whether the motion's noise has heavy tails: a far step is then no reason to doubt the readings.
 
     Returns
     -------
@@ -81,8 +83,10 @@ def doubts_at(tables: Tables, geometry: Sequence[Any], reference: Float) -> Doub
             mixed |= bool((readings.weight < 1.0).any())
     if not mixed:
         return Doubts(np.empty(0, dtype=np.int64), (None,) * len(single))
-    far = squared_steps(tables.motion, reference) > _SQUARED_STEP
-    far[:-1] |= far[1:]
+    far = np.zeros(n_steps, dtype=bool)
+    if not heavy_tails:
+        far = squared_steps(tables.motion, reference) > _SQUARED_STEP
+        far[:-1] |= far[1:]
     most = gross >= _GROSS_SHARE * count
     return _doubts(geometry, [
         None
@@ -134,9 +138,15 @@ def _doubts(geometry: Sequence[Any], of_sensors: Sequence[NDArray[np.bool_] | No
 
 
 def redrawn_where_doubtful(
-    tables: Tables, geometry: Sequence[Any], reference: Float, doubts: Doubts, path: Float, rng: np.random.Generator
-) -> tuple[Float, float] | None:
-    """Redraw a path around doubtful rows.
+    tables: Tables,
+    geometry: Sequence[Any],
+    reference: Float,
+    doubts: Doubts,
+    path: Float,
+    times: int,
+    rng: np.random.Generator,
+) -> tuple[Float, float]:
+    """Redraw a path around doubtful readings.
 
     Parameters
     ----------
@@ -147,9 +157,11 @@ def redrawn_where_doubtful(
     reference : ndarray, shape (T, D)
         The reference trajectory.
     doubts : Doubts
-        The doubtful readings.
+        The doubtful readings, at least one.
     path : ndarray, shape (T, D)
         The current path; it is not changed.
+    times : int
+        How often blocks are chosen and redrawn.
     rng : numpy.random.Generator
         Source of randomness.
 
@@ -158,35 +170,36 @@ def redrawn_where_doubtful(
     path : ndarray, shape (T, D)
         The new path.
     log_density : float
-        log p(path, readings | theta). Both are replaced by a single None where no reading is doubtful.
+        log p(path, readings | theta).
     """
-    rows, n_steps = doubts.rows, path.shape[0]
-    if not rows.size:
-        return None
+    new, of_rows, log_density = path.copy(), np.full(path.shape[0], np.nan), np.nan
+    for _ in range(times):
+        begins, stops, chance = _blocks(doubts.rows, path.shape[0], rng)
+        sound, gross = list(geometry), list(geometry)
+        for sensor, (readings, doubtful) in enumerate(zip(geometry, doubts.of_sensors, strict=True)):
+            if doubtful is not None:
+                changing = doubtful & (rng.random(doubtful.size) < chance[times_of(readings)])
+                sound[sensor] = readings._replace(weight=np.where(changing, 1.0, readings.weight))
+                gross[sensor] = readings._replace(weight=np.where(changing, 0.0, readings.weight))
+        log_density = redraw_doubtful_rows(
+            tables, tuple(sound), tuple(gross), reference, new, of_rows, begins, stops,
+            rng.random(begins.size) < 0.5, rng.standard_normal(path.shape), np.log(rng.random(begins.size)),
+        )  # fmt: skip
+    return new, float(log_density)
+
+
+def _blocks(rows: Int, n_steps: int, rng: np.random.Generator) -> tuple[Int, Int, Float]:
+    """Return the blocks that are redrawn, and for each row of the log the chance of its doubtful readings to change.
+
+    Those of a block's own row may change sides, or those of all its rows; of these all, or each with probability half.
+    """
     before, after = np.exp(rng.uniform(0.0, math.log(_REACH), size=(2, rows.size))).astype(np.int64)
-    free, blocks = np.ones(n_steps + 1, dtype=bool), []
-    for k in rng.permutation(rows.size):
-        begin, stop = max(0, rows[k] - before[k]), min(n_steps, rows[k] + 1 + after[k])
-        # The row after a block holds the transition out of it, and belongs to no other block.
-        if free[begin : stop + 1].all():
-            free[begin : stop + 1] = False
-            blocks.append((begin, stop, rows[k]))
-    begins, stops, centres = np.array(sorted(blocks), dtype=np.int64).T.copy()
-    # The readings of the row in the middle change sides, or those of all rows; of these all or half.
+    blocks = choose_blocks(rows, rng.permutation(rows.size), before, after, n_steps)
+    begins, stops, own = np.ascontiguousarray(blocks.T)
     everywhere, share = rng.random(begins.size) < 0.5, np.where(rng.random(begins.size) < 0.5, 1.0, 0.5)
-    block_of, chance = np.searchsorted(begins, np.arange(n_steps), side="right") - 1, np.zeros(n_steps)
-    inside = (block_of >= 0) & (np.arange(n_steps) < stops[block_of])
-    chance[inside] = (everywhere * share)[block_of[inside]]
-    chance[centres] = share
-    sound, gross = list(geometry), list(geometry)
-    for sensor, (readings, doubtful) in enumerate(zip(geometry, doubts.of_sensors, strict=True)):
-        if doubtful is not None:
-            changing = doubtful & (rng.random(doubtful.size) < chance[times_of(readings)])
-            sound[sensor] = readings._replace(weight=np.where(changing, 1.0, readings.weight))
-            gross[sensor] = readings._replace(weight=np.where(changing, 0.0, readings.weight))
-    new = path.copy()
-    log_density = redraw_doubtful_rows(
-        tables, tuple(sound), tuple(gross), reference, new, begins, stops, rng.random(begins.size) < 0.5,
-        rng.standard_normal(path.shape), np.log(rng.random(begins.size)),
-    )  # fmt: skip
-    return new, log_density
+    block = np.searchsorted(begins, rows, side="right") - 1
+    inside = (block >= 0) & (rows < stops[block])
+    chance = np.zeros(n_steps)
+    chance[rows[inside]] = (everywhere * share)[block[inside]]
+    chance[own] = share
+    return begins, stops, chance

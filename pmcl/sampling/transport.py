@@ -265,14 +265,15 @@ def linearised_at(
         if any(geometry is None for geometry in log_geometries):
             return None
         geometries.append(log_geometries)
+    mixture = all(heavy_tailed(tables) for tables in all_tables)
     transport = Transport(
         tuple(np.ascontiguousarray(r) for r in references),
         tuple(geometries),
         proposal,
         tuple(tables.sensors for tables in all_tables),
         schedule,
-        all(heavy_tailed(tables) for tables in all_tables),
-        tuple(map(doubts_at, all_tables, geometries, references)),
+        mixture,
+        tuple(map(functools.partial(doubts_at, heavy_tails=mixture), all_tables, geometries, references)),
     )
     usable = _standardised(all_tables, transport.geometries, transport.references, references) is not None
     return transport if usable else None
@@ -350,7 +351,7 @@ def transport_moves(
     else:
         redrawn, redraw_rate = list(paths), math.nan
         log_joint = _log_density(all_tables, paths)
-    for _ in range(_DOUBTFUL_REDRAWS if any(doubts.rows.size for doubts in transport.doubts) else 0):
+    if any(doubts.rows.size for doubts in transport.doubts):
         redrawn, log_joint = _redrawn_where_doubtful(all_tables, geometries, transport, redrawn, rng)
     start = _standardised(all_tables, geometries, transport.references, redrawn)
     if start is None:
@@ -457,8 +458,12 @@ def _redrawn_where_doubtful(
     for tables, geometry, reference, doubts, old in zip(
         all_tables, geometries, transport.references, transport.doubts, paths, strict=True
     ):
-        redrawn = redrawn_where_doubtful(tables, geometry, reference, doubts, old, rng)
-        path, value = (old, _log_density([tables], [old])) if redrawn is None else redrawn
+        if doubts.rows.size:
+            path, value = redrawn_where_doubtful(
+                tables, geometry, reference, doubts, old, _DOUBTFUL_REDRAWS, rng
+            )
+        else:
+            path, value = old, _log_density([tables], [old])
         new.append(path)
         log_density += value
     return new, log_density

@@ -86,7 +86,7 @@ def _change(draws, seed):
     for _ in range(draws):
         path = _draw_path(tables, rng)
         _draw_readings(tables.sensors[0], geometry, path, rng)
-        new, value = redrawn_where_doubtful(tables, (geometry,), reference, doubts, path, sfc)
+        new, value = redrawn_where_doubtful(tables, (geometry,), reference, doubts, path, 2, sfc)
         assert value == pytest.approx(log_joint(tables, new))
         moved += not np.array_equal(new, path)
         found.append([_functions(tables, path), _functions(tables, new)])

@@ -13,7 +13,50 @@ from pmcl.filtering.kernels.factorisation import Factors, eliminate
 from pmcl.filtering.kernels.forward import work_rows
 from pmcl.filtering.kernels.linear import realise_row, standardise_row
 
-__all__ = ["redraw_doubtful_rows", "squared_steps"]
+__all__ = ["choose_blocks", "redraw_doubtful_rows", "squared_steps"]
+
+
+@entry
+def choose_blocks(rows, order, before, after, n_steps):
+    """Choose blocks of rows around some rows, so that between two blocks there is a row at least.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (n,)
+        The rows.
+    order : ndarray of int, shape (n,)
+        The order in which they get a block, if it has room beside those that there are.
+    before, after : ndarray of int, shape (n,)
+        How many rows each block would have before and after its row.
+    n_steps : int
+        Rows of the log.
+
+    Returns
+    -------
+    blocks : ndarray of int, shape (n_blocks, 3)
+        First row of each block, the row after its last, and its own row, in ascending order.
+    """
+    own, free = np.full(n_steps + 1, -1), np.full(n_steps + 1, True)
+    count = 0
+    for k in order:
+        begin, stop = max(0, rows[k] - before[k]), min(n_steps, rows[k] + 1 + after[k])
+        # The row after a block holds the transition out of it, and belongs to no other block.
+        room = True
+        for t in range(begin, stop + 1):
+            room &= free[t]
+        if room:
+            for t in range(begin, stop + 1):
+                free[t] = False
+            own[begin] = k
+            count += 1
+    blocks, block = np.empty((count, 3), np.int64), 0
+    for begin in range(n_steps):
+        k = own[begin]
+        if k >= 0:
+            blocks[block, 0], blocks[block, 2] = begin, rows[k]
+            blocks[block, 1] = min(n_steps, rows[k] + 1 + after[k])
+            block += 1
+    return blocks
 
 
 @entry
@@ -48,7 +91,7 @@ def _log_density(motion, path, reference, begin, stop, factors, log_determinant,
 
 
 @entry
-def redraw_doubtful_rows(tables, sound, gross, reference, path, begins, stops, as_sound, noise, log_uniform):
+def redraw_doubtful_rows(tables, sound, gross, reference, path, rows, begins, stops, as_sound, noise, log_uniform):
     """Redraw some blocks of a trajectory, each as if doubtful readings in it were sound or were gross errors, in place.
 
     The proposal of a block is the mixture, in equal parts, of its conditionals under two linearised models, so that it
@@ -65,6 +108,9 @@ def redraw_doubtful_rows(tables, sound, gross, reference, path, begins, stops, a
         The reference trajectory.
     path : ndarray, shape (T, D)
         The trajectory; it is changed.
+    rows : ndarray, shape (T,)
+        Each row's share of log p(path, readings | theta); it is changed as well. Where the first is not a number, all
+        are computed.
     begins, stops : ndarray of int, shape (n_blocks,)
         First row of each block, and the row after its last. Between two blocks there must be a row.
     as_sound : ndarray of bool, shape (n_blocks,)
@@ -85,7 +131,7 @@ def redraw_doubtful_rows(tables, sound, gross, reference, path, begins, stops, a
     other = Factors(np.empty((n_steps, square)), np.empty((n_steps, square)), np.empty((n_steps, size)))
     work, z = np.empty(4 * square + 4 * size), np.empty(size)
     columns, scratch = np.empty((size, n_steps)), np.empty((work_rows(tables), max(n_steps, size)))
-    rows, new_rows, log_ratio = np.empty(n_steps), np.empty(n_steps), np.empty(begins.size)
+    new_rows, log_ratio = np.empty(n_steps), np.empty(begins.size)
     proposed = path.copy()
     for block in range(begins.size):
         begin, stop = begins[block], stops[block]
@@ -108,10 +154,11 @@ def redraw_doubtful_rows(tables, sound, gross, reference, path, begins, stops, a
             _log_density(tables.motion, proposed, reference, begin, stop, one, if_sound, z, size),
             _log_density(tables.motion, proposed, reference, begin, stop, other, if_gross, z, size),
         )  # fmt: skip
-    for t in range(n_steps):
-        for d in range(size):
-            columns[d, t] = path[t, d]
-    joint_logpdf(tables, columns, rows, scratch)
+    if np.isnan(rows[0]):
+        for t in range(n_steps):
+            for d in range(size):
+                columns[d, t] = path[t, d]
+        joint_logpdf(tables, columns, rows, scratch)
     for t in range(n_steps):
         for d in range(size):
             columns[d, t] = proposed[t, d]

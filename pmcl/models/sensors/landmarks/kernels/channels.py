@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
 from pmcl.engine.linear_readings import BEARING, RANGE, SIZE
-from pmcl.engine.scalars import HALF_LOG_2PI, wrap_angle
+from pmcl.engine.scalars import wrap_angle
 from pmcl.geometry import wrap
 from pmcl.models.sensors.landmarks.kernels.rows import AHEAD, ASIDE, DISTANCE
 from pmcl.models.sensors.landmarks.linearisation import relative_positions
@@ -21,7 +21,7 @@ from pmcl.models.sensors.landmarks.table import LandmarkSightings, extras_of
 
 __all__ = [
     "NEAREST", "RELATED", "correlation_of", "draw_given_last", "draw_sightings", "expected_sightings", "given_last",
-    "last_sighting", "reading_below", "reading_density", "reading_of", "residual_and_std",
+    "last_sighting", "reading_of", "residual_and_std",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -52,18 +52,6 @@ def residual_and_std(sensor, kind, k, j, ahead, aside, distance, angle):
         return residual, sensor.bearing_std[j] * (1.0 + sensor.extras.bearing_falloff[j] / max(distance, NEAREST))
     ideal = sensor.size_constant[j] / (distance * distance)
     return sensor.size[k] - ideal, sensor.size_std[j] * ideal
-
-
-@kernel
-def reading_density(residual, std):
-    """Return the density of a reading."""
-    return math.exp(-0.5 * (residual / std) ** 2 - HALF_LOG_2PI) / std
-
-
-@kernel
-def reading_below(residual, std):
-    """Return the probability of a smaller reading."""
-    return 0.5 * math.erfc(-residual / std * math.sqrt(0.5))
 
 
 @kernel

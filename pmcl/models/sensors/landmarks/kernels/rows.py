@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 __all__ = [
-    "AHEAD", "ANGLE", "ASIDE", "BEFORE", "COSINE", "DISTANCE", "DRAFT", "OTHERS", "POSE", "POSE_BEFORE", "ROWS", "SINE",
-    "TARGET",
+    "AHEAD", "ANGLE", "ASIDE", "BEFORE", "BELOW", "COSINE", "DISTANCE", "DRAFT", "OTHERS", "POSE", "POSE_BEFORE",
+    "ROWS", "SHARE", "SINE", "TARGET",
 ]  # fmt: skip
 
 # Three rows: the pose of the sensor when each column was read; then sine and cosine of the direction it looks in.
@@ -17,4 +17,7 @@ TARGET, OTHERS, DRAFT = 9, 10, 11
 BEFORE = 12
 # Three rows: the poses one row earlier, along a path.
 POSE_BEFORE = 21
+# In their place, of single readings: the probability of a component of the mixture with the readings before, and that
+# of a smaller reading.
+SHARE, BELOW = 21, 22
 ROWS = 24

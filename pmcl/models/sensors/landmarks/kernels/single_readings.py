@@ -12,12 +12,10 @@ from pmcl.engine.compile import kernel
 from pmcl.engine.contract import one_reading, reading_count, reading_slots
 from pmcl.engine.linear_readings import BEARING
 from pmcl.engine.scalars import HALF_LOG_2PI
-from pmcl.engine.vector_math import atan2_into, log_into, upper_tail_into
+from pmcl.engine.vector_math import atan2_into, exp_into, log_into, upper_tail_into
 from pmcl.models.sensors.landmarks.kernels.channels import (
     given_last,
     last_sighting,
-    reading_below,
-    reading_density,
     reading_of,
     residual_and_std,
 )
@@ -32,9 +30,11 @@ from pmcl.models.sensors.landmarks.kernels.rows import (
     ANGLE,
     ASIDE,
     BEFORE,
+    BELOW,
     DISTANCE,
     DRAFT,
     OTHERS,
+    SHARE,
     TARGET,
 )
 from pmcl.models.sensors.landmarks.kernels.sightlines import locate, place_sensor
@@ -91,6 +91,8 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
     # Sums over what the sighting may be of: of the readings before this one, of those and this one, and of smaller
     # readings here.
     before, now, below = memory[0], memory[1], memory[2]
+    deviation, spread, draft, share = scratch[TARGET], scratch[OTHERS], scratch[DRAFT], scratch[SHARE]
+    ahead, aside, distance, angle = scratch[AHEAD], scratch[ASIDE], scratch[DISTANCE], scratch[ANGLE]
     for i in range(n):
         before[i], now[i], below[i] = 0.0, 0.0, 0.0
     for j in range(n_landmarks):
@@ -98,37 +100,51 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
         if weight == 0.0:
             continue
         locate(sensor, j, n, scratch)
-        atan2_into(scratch[ASIDE], scratch[AHEAD], scratch[ANGLE])
+        if kind >= BEARING:
+            atan2_into(aside, ahead, angle)
         for i in range(n):
-            ahead, aside, distance = scratch[AHEAD, i], scratch[ASIDE, i], scratch[DISTANCE, i]
-            angle, share = scratch[ANGLE, i], (1.0 - gross) * weight
-            for earlier in range(kind):
-                if not math.isnan(reading_of(sensor, earlier, k)):
-                    residual, std = residual_and_std(sensor, earlier, k, j, ahead, aside, distance, angle)
-                    if j == named and last >= 0:
-                        residual, std = given_last(sensor, earlier, last, residual, std, states_before, i)
-                    share *= reading_density(residual, std)
-            residual, std = residual_and_std(sensor, kind, k, j, ahead, aside, distance, angle)
-            if j == named and last >= 0:
-                residual, std = given_last(sensor, kind, last, residual, std, states_before, i)
-            before[i] += share
-            now[i] += share * reading_density(residual, std)
-            below[i] += share * reading_below(residual, std)
-            if j == named:
-                low[i] = residual
-                logp[i] = -0.5 * (residual / std) ** 2 - math.log(std) - HALF_LOG_2PI
-                high[i] = reading_below(residual, std)
-    share = gross
+            share[i] = (1.0 - gross) * weight
+        for channel in range(kind + 1):
+            if math.isnan(reading_of(sensor, channel, k)):
+                continue
+            for i in range(n):
+                residual, std = residual_and_std(sensor, channel, k, j, ahead[i], aside[i], distance[i], angle[i])
+                if j == named and channel == kind:
+                    low[i] = residual
+                if j == named and last >= 0:
+                    residual, std = given_last(sensor, channel, last, residual, std, states_before, i)
+                deviation[i], spread[i] = -residual / std, std
+            if channel == kind:
+                upper_tail_into(deviation, scratch[BELOW])
+                for i in range(n):
+                    before[i] += share[i]
+                    below[i] += share[i] * scratch[BELOW, i]
+            if j == named and channel == kind:
+                log_into(spread, draft)
+                for i in range(n):
+                    logp[i] = -0.5 * deviation[i] * deviation[i] - draft[i] - HALF_LOG_2PI
+                    high[i] = scratch[BELOW, i]
+            for i in range(n):
+                deviation[i] = -0.5 * deviation[i] * deviation[i] - HALF_LOG_2PI
+            exp_into(deviation, 0.0, draft)
+            for i in range(n):
+                share[i] *= draft[i] / spread[i]
+        for i in range(n):
+            now[i] += share[i]
+    of_gross_errors = gross
     for earlier in range(kind):
         if not math.isnan(reading_of(sensor, earlier, k)):
-            share *= gross_density(sensor, earlier, named)
+            of_gross_errors *= gross_density(sensor, earlier, named)
     density = gross_density(sensor, kind, named)
     for i in range(n):
-        before[i] += share
-        now[i] += share * density
+        before[i] += of_gross_errors
+        now[i] += of_gross_errors * density
+        share[i] = now[i] / before[i] if before[i] > 0.0 else 0.0
+    log_into(share, draft)
+    for i in range(n):
         # Where all densities vanish there is nothing to weigh: the reading is taken to be of its own landmark.
-        if now[i] > 0.0 and before[i] > 0.0:
-            logp[i] = math.log(now[i] / before[i])
-            high[i] = (below[i] + share * gross_below(kind, z, low[i], density)) / before[i]
+        if draft[i] > -math.inf:
+            logp[i] = draft[i]
+            high[i] = (below[i] + of_gross_errors * gross_below(kind, z, low[i], density)) / before[i]
         low[i] = high[i]
     return True
