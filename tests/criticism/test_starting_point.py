@@ -47,7 +47,10 @@ def test_readings_along_a_carried_path_are_as_before(name):
     assert stayed < before - 100.0
 
 
-@pytest.mark.parametrize(("given", "size"), [("sensor-yaw=large", 0.25), ("sensor-latency=large", 0.5)])
+@pytest.mark.parametrize(
+    ("given", "size"),
+    [("sensor-yaw=large", 0.25), pytest.param("sensor-latency=large", 0.5, marks=pytest.mark.slow)],
+)
 def test_a_short_fit_of_a_moved_sensor_comes_to_its_size(given, size):
     """Sharp sensors hold a path where it is: without the carried path a large latency is not reached."""
     log = simulate_amigobot(300.0, 4, {"sigma_range": 0.03, "sigma_turn": 0.04}, effects=(given,), hide_effects=True)

@@ -206,6 +206,7 @@ def test_moves_with_precisions_keep_the_law():
     assert_agrees(change, 0.0, matters=MATTERS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", ["no slope", "no density", "precisions of a Gaussian"])
 def test_mistakes_in_the_moves_are_noticed(defect, monkeypatch):
     if defect == "no slope":
