@@ -46,7 +46,10 @@ from pmcl.sampling.marginals import Marginals
 from pmcl.sampling.scale_mixture import Precisions, heavy_tailed
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "sharing_doubts", "transport_moves"]
+__all__ = [
+    "STRETCHED", "Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "sharing_doubts",
+    "transport_moves",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 
@@ -56,6 +59,11 @@ _FREEDOM = 8.0
 # Where readings are doubtful, a sweep redraws the path around them so many times: with four instead of one, chains of
 # Create 3 of MRCLAM give 1.9 times the effective draws for the CPU second.
 _DOUBTFUL_REDRAWS = 4
+# Blocks of a redraw are so many times as long as the schedule says, each with the same probability. Short ones are
+# accepted; where a robot saw nothing for long, only long ones move the path as a whole. On Create 3 of MRCLAM at four
+# rows a second, whose longest gap has a hundred rows, this took the effective draws of one run from 406 to 1238; on the
+# logs of tests/benchmarks it changes nothing that can be told from chance.
+STRETCHED = (1, 1, 1, 1, 2, 2, 4, 8)
 # The two kinds of proposals.
 _WALK, _JUMP = 0, 1
 
@@ -125,7 +133,8 @@ class Schedule(NamedTuple):
     redraw_share : float
         Probability that a sweep redraws the trajectories block by block.
     block : int
-        Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours.
+        Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours. Half
+        of the redraws have longer ones.
     sweeps : int
         Sweeps from one stored draw to the next, where no other number is asked for.
     """
@@ -431,7 +440,8 @@ def _redrawn(
     rng: np.random.Generator,
 ) -> tuple[list[Float], float, float]:
     """Redraw all paths in blocks with boundaries chosen anew; return (paths, their log density, share accepted)."""
-    new, log_density, accepted, block = [], 0.0, [], transport.schedule.block
+    block = transport.schedule.block * int(rng.choice(STRETCHED))
+    new, log_density, accepted = [], 0.0, []
     for tables, geometry, reference, old in zip(all_tables, geometries, transport.references, paths, strict=True):
         n_steps = old.shape[0]
         inner = np.arange(1 + rng.integers(block), n_steps, block)

@@ -20,7 +20,7 @@ from pmcl.sampling.marginals import marginals_of
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, Schedule, Transport, linearised_at, sharing_doubts
+from pmcl.sampling.transport import STRETCHED, Proposal, Schedule, Transport, linearised_at, sharing_doubts
 from pmcl.streams import stream
 
 __all__ = ["lost_chains", "near_their_modes", "restarted", "tuned_schedule", "tuned_transports"]
@@ -276,6 +276,9 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
     blobs = backend.get_blobs()
     rates = (blobs[name][backend.window] for name in ("transport_jump_rate", "path_block_redraw_rate"))
     jumps, blocks = (float(rate[~np.isnan(rate)].mean()) if not np.isnan(rate).all() else 0.0 for rate in rates)
+    # Of that rate half are blocks longer than the schedule says, each of which is accepted as all of its parts are.
+    shares = np.linspace(0.0, 1.0, 1001)
+    blocks = float(np.interp(blocks, np.mean([shares**times for times in STRETCHED], axis=0), shares))
     schedule = Schedule()
     if 0.0 < blocks < 1.0:
         # Each row refuses its block with some small probability, so that the logarithm grows with the length.
