@@ -219,6 +219,11 @@ def test_without_any_estimate_only_a_chain_that_could_not_include_all_rows_is_lo
     assert lost[0] in (1, 2)
 
 
+def _of_all_lengths(share):
+    """The share of rows redrawn, half of them in blocks 2, 2, 4 and 8 times as long, if short ones have `share`."""
+    return (4.0 * share + 2.0 * share**2 + share**4 + share**8) / 8.0
+
+
 @pytest.mark.parametrize(
     ("jumps", "blocks", "schedule"),
     [
@@ -237,7 +242,7 @@ def test_without_any_estimate_only_a_chain_that_could_not_include_all_rows_is_lo
 def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, schedule):
     """Only the window counts, and sweeps that made no such move do not."""
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
-    rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, blocks
+    rates["transport_jump_rate"][10:], rates["path_block_redraw_rate"][10:] = jumps, _of_all_lengths(blocks)
     rates["transport_jump_rate"][15] = np.nan
     assert tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule()) == schedule
 
@@ -245,7 +250,7 @@ def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, sched
 def test_between_walls_particles_seldom_draw_the_path():
     """Blocks of six rows are accepted there as often as they should be."""
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
-    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
+    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, _of_all_lengths(0.56)
     found = tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=6))
     assert found == Schedule(walk_share=0.1, path_share=0.1, block=5)
 
@@ -261,13 +266,13 @@ def test_a_draw_has_two_sweeps_where_the_chain_forgets_slowly(correlation, sweep
     rates = np.zeros((120, 4), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     assert tuned_schedule(_Finished(rates, chain), Schedule()).sweeps == sweeps
     assert tuned_schedule(_Finished(rates, chain[:20]), Schedule()).sweeps == Schedule().sweeps
-    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
+    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, _of_all_lengths(0.56)
     assert tuned_schedule(_Finished(rates, chain), Schedule(block=6)).sweeps == 2
 
 
 def test_blocks_stay_as_long_as_they_are_where_as_many_as_should_be_are_accepted():
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
-    rates["path_block_redraw_rate"] = 0.6
+    rates["path_block_redraw_rate"] = _of_all_lengths(0.6)
     for block in (4, 9, 24):
         assert tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=block)).block == block
 
