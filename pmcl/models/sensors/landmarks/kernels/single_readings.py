@@ -109,10 +109,10 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
                 continue
             for i in range(n):
                 residual, std = residual_and_std(sensor, channel, k, j, ahead[i], aside[i], distance[i], angle[i])
-                if j == named and channel == kind:
-                    low[i] = residual
                 if j == named and last >= 0:
                     residual, std = given_last(sensor, channel, last, residual, std, states_before, i)
+                if j == named and channel == kind:
+                    low[i] = residual
                 deviation[i], spread[i] = -residual / std, std
             if channel == kind:
                 upper_tail_into(deviation, scratch[BELOW])
