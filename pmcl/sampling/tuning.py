@@ -34,7 +34,7 @@ Float = NDArray[np.float64]
 _SOME_JUMPS, _FEW_WALKS = 0.1, 0.1
 # Blocks of the path are as long that this share of them is accepted; shorter ones forget little, and longer ones are
 # refused. Between walls, where 0.13 of the blocks of 24 rows are accepted, blocks of 6 rows or fewer serve better.
-_ACCEPTED_BLOCKS = 0.6
+_ACCEPTED_BLOCKS = 0.7
 _SHORTEST_BLOCK, _LONGEST_BLOCK = 4, 24
 # Where this share of the blocks is accepted, and some independent proposals, theta and the path forget their past by
 # these two alone. Particles then draw the path in one sweep of ten: they lead where the linearised model does not, and
