@@ -59,10 +59,10 @@ _FREEDOM = 8.0
 # Where readings are doubtful, a sweep redraws the path around them so many times: with four instead of one, chains of
 # Create 3 of MRCLAM give 1.9 times the effective draws for the CPU second.
 _DOUBTFUL_REDRAWS = 4
-# Blocks of a redraw are so many times as long as the schedule says, each with the same probability. Short ones are
-# accepted; where a robot saw nothing for long, only long ones move the path as a whole. On Create 3 of MRCLAM at four
-# rows a second, whose longest gap has a hundred rows, this took the effective draws of one run from 406 to 1238; on the
-# logs of tests/benchmarks it changes nothing that can be told from chance.
+# Stretched blocks of a redraw are so many times as long as the schedule says, each with the same chance. Short ones are
+# accepted; where a robot saw nothing for long, only long ones move the path as a whole. Create 3 of MRCLAM, at four
+# rows a second, sees nothing for up to 177 rows: there they took the effective draws of one run from 406 to 1238.
+# Between walls, where edges refuse long blocks, they would cost a tenth (three seeds of the Amigobot).
 STRETCHED = (1, 1, 1, 1, 2, 2, 4, 8)
 # The two kinds of proposals.
 _WALK, _JUMP = 0, 1
@@ -133,8 +133,9 @@ class Schedule(NamedTuple):
     redraw_share : float
         Probability that a sweep redraws the trajectories block by block.
     block : int
-        Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours. Half
-        of the redraws have longer ones.
+        Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours.
+    stretched : bool
+        Whether half of the redraws have longer blocks, see :data:`STRETCHED`.
     sweeps : int
         Sweeps from one stored draw to the next, where no other number is asked for.
     """
@@ -144,6 +145,7 @@ class Schedule(NamedTuple):
     path_share: float = 1.0
     redraw_share: float = 1.0
     block: int = 24
+    stretched: bool = True
     sweeps: int = 2
 
 
@@ -440,7 +442,8 @@ def _redrawn(
     rng: np.random.Generator,
 ) -> tuple[list[Float], float, float]:
     """Redraw all paths in blocks with boundaries chosen anew; return (paths, their log density, share accepted)."""
-    block = transport.schedule.block * int(rng.choice(STRETCHED))
+    schedule = transport.schedule
+    block = schedule.block * (int(rng.choice(STRETCHED)) if schedule.stretched else 1)
     new, log_density, accepted = [], 0.0, []
     for tables, geometry, reference, old in zip(all_tables, geometries, transport.references, paths, strict=True):
         n_steps = old.shape[0]

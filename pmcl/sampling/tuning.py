@@ -34,7 +34,7 @@ Float = NDArray[np.float64]
 _SOME_JUMPS, _FEW_WALKS = 0.1, 0.1
 # Blocks of the path are as long that this share of them is accepted; shorter ones forget little, and longer ones are
 # refused. Between walls, where 0.13 of the blocks of 24 rows are accepted, blocks of 6 rows or fewer serve better.
-_ACCEPTED_BLOCKS = 0.7
+_ACCEPTED_BLOCKS = 0.6
 _SHORTEST_BLOCK, _LONGEST_BLOCK = 4, 24
 # Where this share of the blocks is accepted, and some independent proposals, theta and the path forget their past by
 # these two alone. Particles then draw the path in one sweep of ten: they lead where the linearised model does not, and
@@ -52,7 +52,7 @@ _EFFECTIVE_DRAWS = 0.4
 # So many steps are enough to measure an autocorrelation; 15 of four chains gave numbers without meaning.
 _ENOUGH_STEPS = 50
 # Where blocks of the path are shorter than this, between walls, a chain may rest for longer than such a measurement
-# lasts: with one sweep a draw, one run in three had R-hat 1.02.
+# lasts: with one sweep a draw, one run in three had R-hat 1.02. Longer blocks than these are refused there.
 _LONG_BLOCK = 12
 # The share of a stage's steps that such a measurement leaves out at its beginning.
 _SETTLING = 0.25
@@ -276,14 +276,16 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
     blobs = backend.get_blobs()
     rates = (blobs[name][backend.window] for name in ("transport_jump_rate", "path_block_redraw_rate"))
     jumps, blocks = (float(rate[~np.isnan(rate)].mean()) if not np.isnan(rate).all() else 0.0 for rate in rates)
-    # Of that rate half are blocks longer than the schedule says, each of which is accepted as all of its parts are.
-    shares = np.linspace(0.0, 1.0, 1001)
-    blocks = float(np.interp(blocks, np.mean([shares**times for times in STRETCHED], axis=0), shares))
+    if used.stretched:
+        # Half of them were longer than the schedule says; a longer block is accepted as all of its parts are.
+        shares = np.linspace(0.0, 1.0, 1001)
+        blocks = float(np.interp(blocks, np.mean([shares**times for times in STRETCHED], axis=0), shares))
     schedule = Schedule()
     if 0.0 < blocks < 1.0:
         # Each row refuses its block with some small probability, so that the logarithm grows with the length.
         rows = used.block * math.log(_ACCEPTED_BLOCKS) / math.log(blocks)
-        schedule = schedule._replace(block=int(np.clip(round(rows), _SHORTEST_BLOCK, _LONGEST_BLOCK)))
+        block = int(np.clip(round(rows), _SHORTEST_BLOCK, _LONGEST_BLOCK))
+        schedule = schedule._replace(block=block, stretched=block >= _LONG_BLOCK)
     if jumps >= _SOME_JUMPS:
         moves = math.ceil(math.log(_UNMOVED) / math.log(1.0 - jumps)) if jumps < 1.0 else 1
         moves = int(np.clip(moves, _FEWEST_MOVES, schedule.moves))

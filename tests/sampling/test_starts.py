@@ -228,12 +228,12 @@ def _of_all_lengths(share):
     ("jumps", "blocks", "schedule"),
     [
         (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
-        (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=12)),
+        (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=18)),
         (0.48, 0.75, Schedule(moves=4, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
         (0.3, 0.9, Schedule(walk_share=0.1, path_share=0.1, redraw_share=0.5)),
-        (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=4)),
-        (0.3, 0.2, Schedule(walk_share=0.1, block=5)),
-        (0.3, 1e-6, Schedule(walk_share=0.1, block=4)),
+        (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5, stretched=False)),
+        (0.3, 0.13, Schedule(walk_share=0.1, block=6, stretched=False)),
+        (0.3, 1e-6, Schedule(walk_share=0.1, block=4, stretched=False)),
         (1.0, 1.0, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
         (0.05, 0.9, Schedule()),
         (np.nan, np.nan, Schedule()),
@@ -250,9 +250,9 @@ def test_the_schedule_follows_how_often_moves_were_accepted(jumps, blocks, sched
 def test_between_walls_particles_seldom_draw_the_path():
     """Blocks of six rows are accepted there as often as they should be."""
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
-    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, _of_all_lengths(0.66)
-    found = tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=6))
-    assert found == Schedule(walk_share=0.1, path_share=0.1, block=5)
+    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
+    found = tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=6, stretched=False))
+    assert found == Schedule(walk_share=0.1, path_share=0.1, block=5, stretched=False)
 
 
 @pytest.mark.parametrize(("correlation", "sweeps"), [(0.0, 1), (0.75, 2), (0.98, 2)])
@@ -266,13 +266,13 @@ def test_a_draw_has_two_sweeps_where_the_chain_forgets_slowly(correlation, sweep
     rates = np.zeros((120, 4), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     assert tuned_schedule(_Finished(rates, chain), Schedule()).sweeps == sweeps
     assert tuned_schedule(_Finished(rates, chain[:20]), Schedule()).sweeps == Schedule().sweeps
-    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, _of_all_lengths(0.66)
-    assert tuned_schedule(_Finished(rates, chain), Schedule(block=6)).sweeps == 2
+    rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
+    assert tuned_schedule(_Finished(rates, chain), Schedule(block=6, stretched=False)).sweeps == 2
 
 
 def test_blocks_stay_as_long_as_they_are_where_as_many_as_should_be_are_accepted():
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
-    rates["path_block_redraw_rate"] = _of_all_lengths(0.7)
+    rates["path_block_redraw_rate"] = _of_all_lengths(0.6)
     for block in (4, 9, 24):
         assert tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=block)).block == block
 
