@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracles.monte_carlo import TOLERANCE, assert_agrees, off_by
+from oracles.monte_carlo import TOLERANCE, assert_agrees, off_by, standard_error
 
 import pmcl
 from pmcl.engine.linear_readings import BEARING, RANGE, times_of
-from pmcl.filtering.particle_filter import log_joint, make_rng
+from pmcl.filtering.particle_filter import draw_paths, log_joint, make_rng, run_filter
 from pmcl.geometry import compose, wrap
 from pmcl.models.sensor import sensor_of
 from pmcl.models.sensors.landmarks.linearisation import ideal
@@ -152,6 +152,22 @@ def test_only_a_model_with_gross_errors_has_doubtful_readings():
             assert list(rows) == ([] if share == 0.0 else [row] if path is straight else [row - 1, row, row + 1])
 
 
+def _is_kinked(paths, row):
+    return paths[..., row, 2] - 0.5 * (paths[..., row - 1, 2] + paths[..., row + 1, 2]) > 0.09
+
+
+def _share_in_the_kink(tables, row, passes=16):
+    """The share of paths with the kink, and its standard error, by filters so large that some particles turn."""
+    evidence, share = np.empty(passes), np.empty(passes)
+    for k in range(passes):
+        rng = make_rng(k)
+        filtered = run_filter(tables, T, 300_000, rng)
+        evidence[k], share[k] = filtered.log_evidence, _is_kinked(draw_paths(tables, filtered, 500, rng), row).mean()
+    weight = np.exp(evidence - evidence.max())
+    mean = np.average(share, weights=weight)
+    return mean, np.sqrt(np.sum((weight * (share - mean)) ** 2)) / weight.sum()
+
+
 def test_chains_cross_between_gross_errors_and_a_kink():
     """With the move, chains from either side agree how often each explanation holds; without it they stay."""
     bound, row = _bound(), 5
@@ -172,13 +188,17 @@ def test_chains_cross_between_gross_errors_and_a_kink():
             path = transport_moves(
                 bound, theta, tables, [path], transport, Unconstrained(bound.parameters), 1, 1.0, rng
             ).paths[0]
-            found.append(path[row, 2] - 0.5 * (path[row - 1, 2] + path[row + 1, 2]) > 0.09)
+            found.append(_is_kinked(path, row))
         return np.array(found)
 
     one, other = (in_the_kink(path, crossing=True, steps=3000) for path in (straight, kinked))
     for found in (one, other):
         assert np.count_nonzero(np.diff(found)) > 80
-    batches = [found.reshape(40, -1).mean(axis=1) for found in (one, other)]
+    batches = [found.reshape(30, -1).mean(axis=1) for found in (one, other)]
     assert_agrees(batches[0] - batches[1], 0.0, matters=0.2)
+    exact, error = _share_in_the_kink(tables[0], row)
+    assert 0.1 < exact < 0.9
+    assert abs(np.mean(batches) - exact) < TOLERANCE * np.hypot(error, standard_error(np.concatenate(batches)))
+    assert TOLERANCE * error < 0.15
     for path, inside in ((straight, False), (kinked, True)):
         assert (in_the_kink(path, crossing=False, steps=1000) == inside).mean() > 0.9
