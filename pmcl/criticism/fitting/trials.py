@@ -28,6 +28,8 @@ Float = NDArray[np.float64]
 
 # All gains are over the current model, whose score is therefore the mean of so many passes of the filter.
 _PASSES_OF_CURRENT = 8
+# So many passes of a filter tell how much their scores differ.
+_FEWEST_TELLING = 2
 # Added to the diagonal of a covariance, in units of its own diagonal: a parameter that a short chain has not moved.
 _RIDGE = 1e-9
 
@@ -222,10 +224,16 @@ def scored_anew(trial: Trial, current: Trial, *, seed: int, particles: int) -> T
         The current model.
     seed, particles
         As for :func:`try_effect`.
+
+    Returns
+    -------
+    Trial
+        From several passes, which tell their noise: that of the current model is one of other particles.
     """
     return _scored(
-        trial.effect, trial.model, trial.fit, trial.z, current, seed=seed, particles=particles, effort=trial.effort
-    )
+        trial.effect, trial.model, trial.fit, trial.z, current, seed=seed, particles=particles, effort=trial.effort,
+        passes=max(trial.effort.passes, _FEWEST_TELLING),
+    )  # fmt: skip
 
 
 def trial_of_base(fit: Fit, *, seed: int, particles: int) -> Trial:
@@ -251,9 +259,11 @@ def _scored(
     seed: int,
     particles: int,
     effort: Effort,
+    passes: int | None = None,
 ) -> Trial:
     """Return a fitted model as a trial; it is compared with itself when there is no current model."""
-    passes = _PASSES_OF_CURRENT if current is None else effort.passes
+    if passes is None:
+        passes = _PASSES_OF_CURRENT if current is None else effort.passes
     scores = row_scores(fit.bound, fit.theta, particles=particles, seed=seed, passes=passes)
     gain, evidence, noise = Gain(0.0, 0.0), 0.0, scores.noise
     if current is not None:

@@ -20,14 +20,20 @@ from pmcl.engine.contract import (
     reading_logpdf,
     reading_slots,
     scratch_rows,
+    states_asked,
 )
 from pmcl.engine.linear_readings import add_information
 from pmcl.engine.vector_math import any_nonzero, sincos_into
 from pmcl.models.sensors.range_beams.kernels.all_rays import cast_all, cast_beams
 from pmcl.models.sensors.range_beams.kernels.casting import COSINE, SINE
+from pmcl.models.sensors.range_beams.kernels.components.noise import below_is_costly
 from pmcl.models.sensors.range_beams.kernels.mixture import add_beam, add_gaussian_beam, beam_below, is_gaussian
 from pmcl.models.sensors.range_beams.kernels.rows import BEAM_ROWS, POSE, POSE_BEFORE, first_row, row_count
 from pmcl.models.sensors.range_beams.table import RangeBeams, RangeExtras
+
+# The distribution function of heavy-tailed echoes costs twenty times as much as all else of a pass over single readings,
+# that of rounded ones five times. Its mean over so many of 1000 states has an error of 0.02 (Amigobot, 600 rows).
+_STATES_ASKED = 64
 
 
 @scratch_rows.register(RangeBeams, RangeExtras)
@@ -77,6 +83,11 @@ def _reading_count(sensor, n_steps):
 @reading_slots.register(RangeBeams, RangeExtras)
 def _reading_slots(sensor, t):
     return t * sensor.reading.shape[1], (t + 1) * sensor.reading.shape[1]
+
+
+@states_asked.register(RangeBeams, RangeExtras)
+def _states_asked(sensor):
+    return _STATES_ASKED if below_is_costly(sensor) else 0
 
 
 @one_reading.register(RangeBeams, RangeExtras)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.compile import kernel
+from pmcl.engine.contract import NOT_ASKED
 from pmcl.engine.student import (
     interval_probability,
     log_upper_tail,
@@ -22,7 +23,7 @@ from pmcl.engine.student import (
 from pmcl.engine.vector_math import log_into, upper_tail_into
 from pmcl.models.sensors.range_beams.table import RangeBeams, extras_of
 
-__all__ = ["draw_echo", "echo_below", "echo_below_into", "echo_logpdf", "echo_logpdf_into"]
+__all__ = ["below_is_costly", "draw_echo", "echo_below", "echo_below_into", "echo_logpdf", "echo_logpdf_into"]
 
 Float = NDArray[np.float64]
 
@@ -124,12 +125,22 @@ def echo_below(sensor, z, centre, std):
 
 
 @kernel
+def below_is_costly(sensor):
+    """Return whether the distribution function of an echo costs much more than its density."""
+    return sensor.extras.tail > 0.0 or sensor.extras.step > 0.0
+
+
+@kernel
 def echo_below_into(sensor, z, centre, std, draft, low, high):
-    """Write the probabilities that echoes read less than `z`, and less or the same; `draft` is work space."""
+    """Write the probabilities that echoes read less than `z`, and less or the same; `draft` is work space.
+
+    Where these are costly, columns are left alone whose `low` says that they are not asked.
+    """
     n, longest = low.size, sensor.max_range
-    if sensor.extras.tail > 0.0 or sensor.extras.step > 0.0:
+    if below_is_costly(sensor):
         for i in range(n):
-            low[i], high[i] = echo_below(sensor, z, centre[i], std[i])
+            if low[i] != NOT_ASKED:
+                low[i], high[i] = echo_below(sensor, z, centre[i], std[i])
         return
     reached = min(max(z, 0.0), longest)
     for i in range(n):

@@ -72,10 +72,14 @@ def mix_short_echoes_below(sensor, beam, z, low, high, scratch):
     weight, length = sensor.extras.short_weight[beam], sensor.extras.short_length
     if weight == 0.0:
         return
-    expected = scratch[first_row(sensor) + EXPECTED]
+    rows = scratch[first_row(sensor) :]
+    expected, draft, at_wall = rows[EXPECTED], rows[DRAFT], rows[VALUES]
     for i in range(low.size):
-        room = _room(sensor, expected[i])
-        below = math.expm1(-min(max(z, 0.0), room) / length) / math.expm1(-room / length)
+        draft[i] = -_room(sensor, expected[i]) / length
+    exp_into(draft, 0.0, at_wall)
+    decay = math.exp(-max(z, 0.0) / length)
+    for i in range(low.size):
+        below = (1.0 - max(decay, at_wall[i])) / (1.0 - at_wall[i])
         low[i], high[i] = low[i] + weight * (below - low[i]), high[i] + weight * (below - high[i])
 
 
