@@ -25,9 +25,10 @@ from pmcl.filtering.kernels.linear import transport_trial
 from pmcl.filtering.particle_filter import log_joint, make_rng
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.near_mode import NearMode, improved_paths, mode_around
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, Schedule, Transport, linearised_at
+from pmcl.sampling.transport import Proposal, Transport, linearised_at
 
 __all__ = ["ChainAt", "LinearisedStart", "LinearisedStarter"]
 

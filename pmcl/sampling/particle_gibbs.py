@@ -16,11 +16,12 @@ from pmcl.sampling.advance import StageRunner
 from pmcl.sampling.chains import Chains
 from pmcl.sampling.move import ParticleGibbsMove
 from pmcl.sampling.options import RunOptions, SettingValue
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.session import check_run_memory, collected, run_session
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.state import SweepInfo, into_blob
 from pmcl.sampling.sweep import ChainStart, start_chain
-from pmcl.sampling.transport import Schedule, Transport
+from pmcl.sampling.transport import Transport
 from pmcl.sampling.tuning import lost_chains, near_their_modes, restarted, tuned_schedule, tuned_transports
 
 __all__ = ["run_particle_gibbs"]

@@ -18,9 +18,10 @@ from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
 from pmcl.models.tables import Tables
 from pmcl.sampling.metropolis import update_theta
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.state import ChainState, SweepInfo, mean_info, state_dimension
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Schedule, Transport, transport_moves
+from pmcl.sampling.transport import Transport, transport_moves
 
 __all__ = ["ChainStart", "SweepSettings", "included", "start_chain", "step"]
 

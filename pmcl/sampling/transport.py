@@ -10,7 +10,8 @@ decides only how often it is accepted.
 Because the path is nearly Gaussian given theta, such a move is accepted almost as one on the marginal posterior of
 theta would be. So there are two kinds of proposals: random walks, which work from anywhere, and independent draws
 from a multivariate t fitted during burn-in, which are mostly accepted more often than not and forget the past at once.
-How many there are of each, and how often particles draw the path besides, is the :class:`Schedule`.
+How many there are of each, and how often particles draw the path besides, is the
+:class:`~pmcl.sampling.schedule.Schedule`.
 
 Before them the path may be redrawn block by block from the linearised model, each block accepted or refused by itself.
 Where precise readings make every particle but one unlikely, conditional SMC hardly ever changes the path; the
@@ -44,12 +45,10 @@ from pmcl.models.tables import Tables
 from pmcl.sampling.doubtful_rows import Doubts, doubts_at, redrawn_where_doubtful, shared_doubts
 from pmcl.sampling.marginals import Marginals
 from pmcl.sampling.scale_mixture import Precisions, heavy_tailed
+from pmcl.sampling.schedule import STRETCHED, Schedule
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = [
-    "STRETCHED", "Proposal", "Schedule", "Transport", "TransportResult", "linearised_at", "sharing_doubts",
-    "transport_moves",
-]  # fmt: skip
+__all__ = ["Proposal", "Transport", "TransportResult", "linearised_at", "sharing_doubts", "transport_moves"]
 
 Float = NDArray[np.float64]
 
@@ -59,11 +58,6 @@ _FREEDOM = 8.0
 # Where readings are doubtful, a sweep redraws the path around them so many times: with four instead of one, chains of
 # Create 3 of MRCLAM give 1.9 times the effective draws for the CPU second.
 _DOUBTFUL_REDRAWS = 4
-# Stretched blocks of a redraw are so many times as long as the schedule says, each with the same chance. Short ones are
-# accepted; where a robot saw nothing for long, only long ones move the path as a whole. Create 3 of MRCLAM, at four
-# rows a second, sees nothing for up to 177 rows: there they took the effective draws of one run from 406 to 1238.
-# Between walls, where edges refuse long blocks, they would cost a tenth (three seeds of the Amigobot).
-STRETCHED = (1, 1, 1, 1, 2, 2, 4, 8)
 # The two kinds of proposals.
 _WALK, _JUMP = 0, 1
 
@@ -116,37 +110,6 @@ class Proposal:
         assert self.spread is not None
         value = self.centre + stretch[:, None] * (normal @ self.spread.T)
         return value if self.marginals is None else self.marginals.from_normal(value)
-
-
-class Schedule(NamedTuple):
-    """What a sweep with transport moves is made of; frozen with the linearisation, as the chain's law demands.
-
-    Attributes
-    ----------
-    moves : int
-        Proposals of each sweep, where no other number is asked for.
-    walk_share : float
-        Probability that a proposal is a random walk; the others are independent draws.
-    path_share : float
-        Probability that a sweep also draws the trajectories by particles, and theta given them. Redrawing them block
-        by block suffices for most sweeps where blocks are accepted.
-    redraw_share : float
-        Probability that a sweep redraws the trajectories block by block.
-    block : int
-        Rows of a block that is redrawn: short enough to be nearly Gaussian, long enough to forget its neighbours.
-    stretched : bool
-        Whether half of the redraws have longer blocks, see :data:`STRETCHED`.
-    sweeps : int
-        Sweeps from one stored draw to the next, where no other number is asked for.
-    """
-
-    moves: int = 6
-    walk_share: float = 0.5
-    path_share: float = 1.0
-    redraw_share: float = 1.0
-    block: int = 24
-    stretched: bool = True
-    sweeps: int = 2
 
 
 _USUAL = Schedule()

@@ -17,10 +17,11 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 from pmcl.sampling.linearised_start import ChainAt, LinearisedStart, LinearisedStarter
 from pmcl.sampling.marginals import marginals_of
+from pmcl.sampling.schedule import LONG_BLOCK, Schedule, schedule_of_rates
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import STRETCHED, Proposal, Schedule, Transport, linearised_at, sharing_doubts
+from pmcl.sampling.transport import Proposal, Transport, linearised_at, sharing_doubts
 from pmcl.streams import stream
 
 __all__ = ["lost_chains", "near_their_modes", "restarted", "tuned_schedule", "tuned_transports"]
@@ -28,32 +29,12 @@ __all__ = ["lost_chains", "near_their_modes", "restarted", "tuned_schedule", "tu
 _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
 
-# Independent proposals that are accepted at least this often are worth more than random walks, since they lead further:
-# between walls, where both pass at 0.27, eight of them gave 1.4 times the effective draws of four and four walks. Some
-# random walks are left, because they work from anywhere.
-_SOME_JUMPS, _FEW_WALKS = 0.1, 0.1
-# Blocks of the path are as long that this share of them is accepted; shorter ones forget little, and longer ones are
-# refused. Between walls, where 0.13 of the blocks of 24 rows are accepted, blocks of 6 rows or fewer serve better.
-_ACCEPTED_BLOCKS = 0.6
-_SHORTEST_BLOCK, _LONGEST_BLOCK = 4, 24
-# Where this share of the blocks is accepted, and some independent proposals, theta and the path forget their past by
-# these two alone. Particles then draw the path in one sweep of ten: they lead where the linearised model does not, and
-# their estimates of the evidence tell whether a chain is lost.
-_SOME_BLOCKS = 0.4
-_SELDOM = 0.1
-# A sweep has as many proposals as leave theta where it is with this probability, within bounds: more of them would
-# move what has moved already. The most are what a sweep has where nothing is known.
-_UNMOVED = 0.1
-_FEWEST_MOVES = 3
 # One sweep makes a draw, where it is worth this many independent ones by the autocorrelation of the sweeps before: a
 # thousand draws of four chains are then worth some 1600. Elsewhere two do. More are not made: a chain that needs more
 # has mostly not met the others, and three times the time would not change that (Create 3 of MRCLAM, gross errors).
 _EFFECTIVE_DRAWS = 0.4
 # So many steps are enough to measure an autocorrelation; 15 of four chains gave numbers without meaning.
 _ENOUGH_STEPS = 50
-# Where blocks of the path are shorter than this, between walls, a chain may rest for longer than such a measurement
-# lasts: with one sweep a draw, one run in three had R-hat 1.02. Longer blocks than these are refused there.
-_LONG_BLOCK = 12
 # The share of a stage's steps that such a measurement leaves out at its beginning.
 _SETTLING = 0.25
 # A chain is lost when its log evidence estimates lie below the best chain's by more than this many of their standard
@@ -276,27 +257,10 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
     blobs = backend.get_blobs()
     rates = (blobs[name][backend.window] for name in ("transport_jump_rate", "path_block_redraw_rate"))
     jumps, blocks = (float(rate[~np.isnan(rate)].mean()) if not np.isnan(rate).all() else 0.0 for rate in rates)
-    if used.stretched:
-        # Half of them were longer than the schedule says; a longer block is accepted as all of its parts are.
-        shares = np.linspace(0.0, 1.0, 1001)
-        blocks = float(np.interp(blocks, np.mean([shares**times for times in STRETCHED], axis=0), shares))
-    schedule = Schedule()
-    if 0.0 < blocks < 1.0:
-        # Each row refuses its block with some small probability, so that the logarithm grows with the length.
-        rows = used.block * math.log(_ACCEPTED_BLOCKS) / math.log(blocks)
-        block = int(np.clip(round(rows), _SHORTEST_BLOCK, _LONGEST_BLOCK))
-        schedule = schedule._replace(block=block, stretched=block >= _LONG_BLOCK)
-    if jumps >= _SOME_JUMPS:
-        moves = math.ceil(math.log(_UNMOVED) / math.log(1.0 - jumps)) if jumps < 1.0 else 1
-        moves = int(np.clip(moves, _FEWEST_MOVES, schedule.moves))
-        schedule = schedule._replace(walk_share=_FEW_WALKS, moves=moves)
-        if blocks >= _SOME_BLOCKS:
-            # Every second sweep need not redraw the path where blocks are as long as they get.
-            share = 0.5 if schedule.block == _LONGEST_BLOCK else 1.0
-            schedule = schedule._replace(path_share=_SELDOM, redraw_share=share)
+    schedule = schedule_of_rates(jumps, blocks, used)
     draws = backend.get_chain()
     draws = draws[int(_SETTLING * draws.shape[0]) :]
-    if draws.shape[0] >= _ENOUGH_STEPS and schedule.block >= _LONG_BLOCK:
+    if draws.shape[0] >= _ENOUGH_STEPS and schedule.block >= LONG_BLOCK:
         with np.errstate(invalid="ignore"):  # a parameter that did not move has none
             time = np.nanmax(integrated_time(draws, tol=0, quiet=True), initial=1.0)
         schedule = schedule._replace(sweeps=1 if _EFFECTIVE_DRAWS * time <= 1.0 else 2)

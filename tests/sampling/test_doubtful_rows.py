@@ -16,8 +16,9 @@ from pmcl.models.sensor import sensor_of
 from pmcl.models.sensors.landmarks.linearisation import ideal
 from pmcl.sampling import doubtful_rows
 from pmcl.sampling.doubtful_rows import Doubts, doubts_at, redrawn_where_doubtful
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, Schedule, linearised_at, sharing_doubts, transport_moves
+from pmcl.sampling.transport import Proposal, linearised_at, sharing_doubts, transport_moves
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
 T = 10

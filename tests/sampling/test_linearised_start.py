@@ -23,8 +23,8 @@ from pmcl.models.sensors.lidar.geometry import lengths_along
 from pmcl.sampling import linearised_start
 from pmcl.sampling.linearised_start import ChainAt, LinearisedStarter
 from pmcl.sampling.near_mode import mode_around
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Schedule
 from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
 

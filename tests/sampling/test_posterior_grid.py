@@ -21,8 +21,9 @@ from oracles.sweeps import first_state, run_chain, run_chains
 from pmcl.filtering.particle_filter import make_rng, update_path
 from pmcl.sampling.marginals import Marginals
 from pmcl.sampling.metropolis import update_theta
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.sweep import SweepSettings, step
-from pmcl.sampling.transport import Proposal, Schedule, linearised_at
+from pmcl.sampling.transport import Proposal, linearised_at
 
 T = 30
 # Biases that matter, in posterior standard deviations: of means, squares, the product, and of the score (whose own

@@ -22,8 +22,9 @@ from pmcl.logs.joined import join_logs
 from pmcl.models.effects.selection import effect_named
 from pmcl.sampling import scale_mixture
 from pmcl.sampling.scale_mixture import Precisions
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, Schedule, linearised_at, transport_moves
+from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
 
 T = 6
 # Readings so noisy that the path follows the motion.

@@ -17,10 +17,10 @@ from pmcl.models.robot_model import RobotModel
 from pmcl.sampling.ensemble import PseudoMarginalTarget
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.options import RunOptions
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.state import from_blob, into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain, step
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Schedule
 from pmcl.sampling.tuning import lost_chains, restarted, tuned_schedule
 
 T = 12

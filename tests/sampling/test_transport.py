@@ -16,8 +16,9 @@ from pmcl.engine.contract import state_size
 from pmcl.filtering.kernels import factorisation, linear
 from pmcl.filtering.kernels.linear import Factors, factorise, refresh_blocks, standardised, transport_trial
 from pmcl.filtering.particle_filter import log_joint, make_rng
+from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.transforms import Unconstrained
-from pmcl.sampling.transport import Proposal, Schedule, linearised_at, transport_moves
+from pmcl.sampling.transport import Proposal, linearised_at, transport_moves
 
 
 def _linearised(bound, theta, reference):

@@ -31,8 +31,8 @@ from pmcl.models.sensors.range_beams.kernels.mixture import add_beam, add_gaussi
 from pmcl.models.sensors.range_beams.kernels.rows import BEAM_ROWS, POSE, POSE_BEFORE, first_row, row_count
 from pmcl.models.sensors.range_beams.table import RangeBeams, RangeExtras
 
-# The distribution function of heavy-tailed echoes costs twenty times as much as all else of a pass over single readings,
-# that of rounded ones five times. Its mean over so many of 1000 states has an error of 0.02 (Amigobot, 600 rows).
+# The distribution function of heavy-tailed echoes costs twenty times as much as all else of a pass over single
+# readings. Its mean over so many of 1000 states has an error of 0.02 (Amigobot, 600 rows).
 _STATES_ASKED = 64
 
 
