@@ -34,11 +34,11 @@ def trial(of, evidence, noise=0.0, effort=THOROUGH):
     return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, 100, effort)
 
 
-def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0, p_value_with=None):
+def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0, p_value_with=None, **same):
     """Probabilities beside candidates that were not tried."""
     current = trial(None, 0.0, noise)
     offered = [one.effect for one in trials if not one.effect.name.startswith("formula")]
-    return explanations(current, trials, directions_of([*offered, *others]), formulas, p_value, 1, p_value_with)
+    return explanations(current, trials, directions_of([*offered, *others]), formulas, p_value, 1, p_value_with, **same)
 
 
 def test_without_noise_it_is_bayes_rule():
@@ -99,6 +99,20 @@ def test_evidences_that_differ_by_less_than_their_noise_share_the_probability():
     glance = told([trial(one, 104.0, 3.0, GLANCE), trial(other, 100.0, 3.0, GLANCE)])
     brief = told([trial(one, 104.0, 3.0, BRIEF), trial(other, 100.0, 3.0, BRIEF)])
     assert 0.5 < glance.of(one) < brief.of(one) < noisy.of(one)
+
+
+def test_two_names_of_one_effect_share_its_probability():
+    """The noise of two fits does not make one of the names more probable, nor take one out of the answer."""
+    bearing, mount, drift = effect("bearing-bias"), effect("sensor-yaw"), effect("odometry-side-drift")
+    trials = [trial(bearing, 104.0, 1.0), trial(mount, 100.0, 2.0), trial(drift, 103.0, 1.0)]
+    found = told(trials, same={"bearing-bias": "sensor-yaw"})
+    assert found.of(bearing) == found.of(mount) > 0.25
+    assert {one.name for one in found.credible} == {"bearing-bias", "sensor-yaw", "odometry-side-drift"}
+    # The better known evidence counts, whichever has it.
+    turned = [trial(bearing, 100.0, 2.0), trial(mount, 104.0, 1.0), trial(drift, 103.0, 1.0)]
+    assert told(turned, same={"bearing-bias": "sensor-yaw"}).of(bearing) == pytest.approx(found.of(bearing), abs=0.02)
+    # Elsewhere they are two effects.
+    assert told(trials).of(mount) < 0.2 * told(trials).of(bearing)
 
 
 def test_the_answer_is_the_fewest_effects_that_have_nearly_all_that_effects_have():

@@ -10,7 +10,7 @@ what is worth a longer fit, when the search ends, which name is told, and which 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -50,6 +50,7 @@ _FIT_NOISE = {GLANCE: (8.0, 0.02), BRIEF: (1.0, 0.02), THOROUGH: (0.0, 0.0)}
 # Draws of the noise over which probabilities are averaged; their own error is then below a per cent.
 _NOISE_DRAWS = 4000
 _UNKNOWN = "unknown effect"
+_NONE_SAME: Mapping[str, str] = {}
 
 
 class Explanations(NamedTuple):
@@ -125,6 +126,7 @@ def explanations(
     p_value: float,
     seed: int,
     p_value_with: float | None = None,
+    same: Mapping[str, str] = _NONE_SAME,
 ) -> Explanations:
     """Return the posterior probabilities of nothing, of each effect that was refitted, and of something unknown.
 
@@ -145,6 +147,8 @@ def explanations(
     p_value_with : float, optional
         P-value of the log's alarms under the model with the most probable effect, once it is known: what an effect does
         not explain, something unknown may explain besides.
+    same : mapping of str to str
+        Names of effects that are another under this log: both have the evidence that is known better.
 
     Notes
     -----
@@ -165,8 +169,9 @@ def explanations(
     besides = 0.0
     if p_value_with is not None:
         besides = float(np.logaddexp(0.0, prior[1] - prior[0] + _evidence_bound(p_value_with)))
-    some = prior[2:] + besides + np.array([trial.evidence for trial in ranked])
-    noise = np.array([_noise(trial) for trial in ranked])
+    known = [_known_best(k, ranked, same) for k in range(len(ranked))]
+    some = prior[2:] + besides + np.array([ranked[k].evidence for k in known])
+    noise = np.array([_noise(ranked[k]) for k in known])
     rng = make_rng(seed)
     # What the current model's own score is wrong by, all gains are.
     common = current.noise * rng.standard_normal(_NOISE_DRAWS if current.noise > 0.0 else 1)
@@ -174,7 +179,7 @@ def explanations(
     nothing, unknown, named = special.softmax([none[0] + common, none[1] + common, of_some], axis=0).mean(axis=1)
     # Noise tells which effect has the share of all effects, not how great that share is: the greatest of many evidences
     # is too great by accident already.
-    draws = rng.standard_normal((_NOISE_DRAWS if noise.any() else 1, noise.size)) * noise
+    draws = rng.standard_normal((_NOISE_DRAWS if noise.any() else 1, noise.size))[:, known] * noise
     probability = named * special.softmax(some + draws, axis=1).mean(axis=0) if some.size else some
     hopeful = [
         special.softmax([*none, *np.delete(some, k), some[k] + noise[k]])[-1] > 1.0 - CREDIBLE for k in range(some.size)
@@ -314,6 +319,16 @@ def _evidence_bound(p_value: float) -> float:
     """Return the greatest log Bayes factor that a p-value allows [nat]."""
     p = max(p_value, 1e-300)
     return -math.log(-math.e * p * math.log(p)) if p < 1.0 / math.e else 0.0
+
+
+def _known_best(k: int, trials: Sequence[Trial], same: Mapping[str, str]) -> int:
+    """Return the number of the trial with the least noise among those of one effect under several names."""
+    names = [trial.effect.name for trial in trials if trial.effect is not None]
+    name = same.get(names[k], names[k])
+    if name == names[k] and name not in same.values():
+        return k
+    alike = [number for number, other in enumerate(names) if same.get(other, other) == name]
+    return min(alike, key=lambda number: _noise(trials[number]))
 
 
 def _noise(trial: Trial) -> float:

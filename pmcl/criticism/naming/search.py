@@ -120,6 +120,9 @@ class Search:
 
     def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
         self.log, self.models, self.refits = log, JudgedModels(log, offered), Refits(log, settings)
+        self._same = {
+            effect.name: other for effect in offered for other, holds in effect.same_as.items() if holds(log)
+        }
 
     @property
     def settings(self) -> Settings:
@@ -345,7 +348,9 @@ class Search:
     ) -> Explanations:
         seed = stream_seed(self.settings.seed, "noise of evidences")
         count = len(formulas.directions) if formulas is not None else 0
-        return explanations(current, trials, self.directions, count, last.judgement.p_value, seed, p_value_with)
+        return explanations(
+            current, trials, self.directions, count, last.judgement.p_value, seed, p_value_with, self._same
+        )
 
     def _refined(
         self, last: JudgedFit, current: Trial, trials: list[Trial], formulas: FormulaCandidates | None

@@ -78,6 +78,9 @@ class Effect:
         are about time themselves, such as a drift, and for those at a place of the map, which show only there.
     near_twins : mapping of str to str
         Effects that look alike, and the motion that tells them apart.
+    same_as : mapping of str to callable
+        Effects that are this one under another name, with the same prior, in logs for which ``same_as[name](log)``
+        holds: no log of that kind tells them apart.
     references : tuple of str
         Where it is described.
     needs : callable
@@ -110,6 +113,7 @@ class Effect:
     absorber: bool = False
     may_begin: bool = True
     near_twins: Mapping[str, str] = field(default_factory=dict)
+    same_as: Mapping[str, Callable[[RobotLog], bool]] = field(default_factory=dict)
     references: tuple[str, ...] = ()
     needs: Callable[[RobotLog], bool] = always
     places: Callable[[RobotLog], Sequence[Where]] | None = None

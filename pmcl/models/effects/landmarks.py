@@ -11,6 +11,7 @@ from scipy import stats
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.editing import edit_landmarks
 from pmcl.models.effects.effect import Effect, Where
+from pmcl.models.effects.ranges import reads_ranges_or_scans
 from pmcl.models.parameters import Parameter
 from pmcl.models.part import Float
 from pmcl.models.tables import Tables
@@ -37,6 +38,10 @@ def reads_bearing(log: RobotLog) -> bool:
 def reads_landmarks(log: RobotLog) -> bool:
     """Return whether the log has landmark sightings of any kind."""
     return reads_distance(log) or reads_bearing(log) or _read(log.landmark_size)
+
+
+def _reads_landmarks_only(log: RobotLog) -> bool:
+    return not reads_ranges_or_scans(log)
 
 
 def _bearing_bias(tables: Tables, values: Float, log: RobotLog, where: Where) -> Tables:
@@ -125,9 +130,10 @@ LANDMARK_EFFECTS = (
         typical={"just visible": (0.02,), "clear": (0.06,), "large": (0.15,)},
         means_only=True,
         near_twins={
-            "sensor-yaw": "the same for a sensor at the robot's centre: no motion tells them apart",
+            "sensor-yaw": "the same for a sensor of landmarks: no motion tells them apart",
             "odometry-side-drift": "turn on the spot or drive backwards",
         },
+        same_as={"sensor-yaw": _reads_landmarks_only},
         references=(_THRUN,),
         needs=reads_bearing,
     ),

@@ -55,6 +55,24 @@ def test_an_effect_describes_itself(name):
     assert all(effect.near_twins.values())
 
 
+@pytest.mark.parametrize("name", [name for name in NAMES if BY_NAME[name].same_as])
+def test_an_effect_that_is_another_by_name_gives_the_same_densities(name):
+    """With one parameter or its negative, at every size and along every path, and with the same prior."""
+    effect = BY_NAME[name]
+    for other_name, holds in effect.same_as.items():
+        other, logs = BY_NAME[other_name], [log for log in (make(80) for make in LOGS) if effect.applies(log)]
+        assert any(map(holds, logs))
+        assert not holds(sonar_log())
+        spreads = [parameter.prior.std() for one in (effect, other) for parameter in one.parameters]
+        assert len(set(spreads)) == 1
+        for log in filter(holds, logs):
+            tables, path = base_tables(log), np.array(log.true_poses) + 0.01
+            for size in (0.03, -0.2):
+                here = row_densities(effect.edit(tables, (size,), log), path)
+                there = [row_densities(other.edit(tables, (sign * size,), log), path) for sign in (1.0, -1.0)]
+                assert min(np.abs(here - one).max() for one in there) < 1e-9
+
+
 @EVERY
 def test_priors_hold_the_null_and_all_typical_values(name):
     effect = BY_NAME[name]
