@@ -101,11 +101,14 @@ def test_what_explains_the_log_ends_the_search_and_only_it_gets_a_long_fit(monke
 
 def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_more_particles(monkeypatch):
     monkeypatch.setattr(search, "_BATCH", 1)
-    case = Case(monkeypatch, gains(odometry_side_drift=60.0, sensor_yaw=60.0), {"odometry-side-drift": 7.0})
+    # To a log of landmarks alone, a turned camera and a bearing bias are one effect.
+    alike = {"odometry-side-drift", "sensor-yaw", "bearing-bias"}
+    evidence = gains(odometry_side_drift=60.0, sensor_yaw=60.0, bearing_bias=60.0)
+    case = Case(monkeypatch, evidence, {"odometry-side-drift": 7.0})
     outcome = case.explain()
-    assert {outcome.found.name, *outcome.found.not_distinguishable_from} == {"odometry-side-drift", "sensor-yaw"}
-    assert set(case.names("thorough")) == {"odometry-side-drift", "sensor-yaw"}
-    assert set(case.names("finer")) == {"odometry-side-drift", "sensor-yaw"}
+    assert {outcome.found.name, *outcome.found.not_distinguishable_from} == alike
+    assert set(case.names("thorough")) == alike
+    assert set(case.names("finer")) == alike
     # By its score alone the twin would not have been tried: another effect explains the log.
     alone = Case(monkeypatch, gains(landmark_misread=60.0, sensor_yaw=60.0), {"landmark-misread": 7.0})
     alone.explain()
@@ -117,13 +120,13 @@ def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_
 def test_a_near_twin_with_some_probability_is_scored_with_more_particles_too(monkeypatch, other, finer):
     """Three nats decide that only one of two is told; near twins are compared anew before that is said."""
     case = Case(
-        monkeypatch, gains(**{"odometry_side_drift": 60.0, other.replace("-", "_"): 57.0}),
+        monkeypatch, gains(odometry_side_drift=60.0, bearing_bias=40.0, **{other.replace("-", "_"): 57.0}),
         {"odometry-side-drift": 7.0, other: 6.9},
     )  # fmt: skip
     outcome = case.explain()
     assert outcome.found.name == "odometry-side-drift"
     assert 0.01 < outcome.probable.of(effect_named(other, case.log)) < 0.1
-    assert set(case.names("finer")) == ({"odometry-side-drift", other} if finer else set())
+    assert set(case.names("finer")) == ({"odometry-side-drift", other, "bearing-bias"} if finer else set())
 
 
 def test_what_becomes_the_answer_by_a_longer_fit_of_another_is_fitted_thoroughly_too(monkeypatch):

@@ -148,7 +148,7 @@ def explanations(
         P-value of the log's alarms under the model with the most probable effect, once it is known: what an effect does
         not explain, something unknown may explain besides.
     same : mapping of str to str
-        Names of effects that are another under this log: both have the evidence that is known better.
+        Names of effects that are another in this log: both have the evidence that is known better.
 
     Notes
     -----
@@ -322,13 +322,17 @@ def _evidence_bound(p_value: float) -> float:
 
 
 def _known_best(k: int, trials: Sequence[Trial], same: Mapping[str, str]) -> int:
-    """Return the number of the trial with the least noise among those of one effect under several names."""
+    """Return the number of the trial that counts among those of one effect under several names.
+
+    It is the one that was fitted longest and scored by the most particles; of several, the one with more evidence.
+    """
     names = [trial.effect.name for trial in trials if trial.effect is not None]
     name = same.get(names[k], names[k])
     if name == names[k] and name not in same.values():
         return k
     alike = [number for number, other in enumerate(names) if same.get(other, other) == name]
-    return min(alike, key=lambda number: _noise(trials[number]))
+    of = [(trials[number].effort.draws, trials[number].particles, trials[number].evidence) for number in alike]
+    return alike[max(range(len(alike)), key=of.__getitem__)]
 
 
 def _noise(trial: Trial) -> float:
