@@ -187,8 +187,8 @@ class Loop:
         return recovery, (*notes, f"without {name} the filter loses the robot at t={self.log.times[lost.row or 0]:g} s")
 
     def _with_recovery(self, state: State, recovery: Recovery) -> State:
-        trial, trials = recovery
-        found = found_effect(trial, (), state.judged.judgement, self.search.directions)
+        trial, trials, twins = recovery
+        found = found_effect(trial, twins, state.judged.judgement, self.search.directions)
         return self._added(state, trial, trials, Answer(found), f"add {found.name}: with it the filter follows")
 
     def _nothing_is(self, state: State, probability: float) -> State:

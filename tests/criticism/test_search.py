@@ -355,6 +355,8 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
     log, follows, rng = simulate_landmark_field(150, 1, bearings=True), [], np.random.default_rng(1)
 
     def glances(current, offered):
+        if len(offered) < 4:
+            return []  # near twins of the answer; they fit no better
         carriers = {one.effect.carrier for one in offered}
         name, total = ("heavy-tailed-motion-noise", motion) if carriers == {"motion"} else ("landmark-misread", sensor)
         rows = total / log.n_steps + 0.01 * rng.standard_normal(log.n_steps)
@@ -374,6 +376,35 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
     outcome = lost_robot.recover(fit, directions_of(candidates(log)), refitting, follow)
     assert (outcome is not None) is named
     assert follows == [*(["heavy-tailed-motion-noise"] if motion else []), *(["landmark-misread"] if named else [])]
+
+
+@pytest.mark.parametrize(("yaw", "name", "told"), [
+    (420.0, "sensor-yaw", []), (402.0, "sensor-yaw", ["odometry-side-drift"]),
+    (398.0, "odometry-side-drift", ["sensor-yaw"]), (380.0, "odometry-side-drift", []),
+])  # fmt: skip
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_near_twin_of_what_lets_the_filter_follow_competes_with_it(monkeypatch, yaw, name, told, lost):
+    """A turned camera looks like a robot that slides, and effects of the motion are tried first."""
+    log, rng = simulate_landmark_field(150, 1, bearings=True), np.random.default_rng(1)
+    evidence = {"odometry-side-drift": 400.0, "sensor-yaw": yaw}
+
+    def glances(current, offered):
+        rows = {one: evidence[one] / log.n_steps + 0.01 * rng.standard_normal(log.n_steps) for one in evidence}
+        tried = [one.effect.name for one in offered if one.effect.name in evidence]
+        return [replace(trial_of(effect_named(one, log), evidence[one], rows=rows[one]), fit=one) for one in tried]
+
+    def follow(fit):
+        if lost and fit == "sensor-yaw":
+            raise FilterError("lost")
+
+    fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
+    refitting = Refits(log, SETTINGS)
+    monkeypatch.setattr(refitting, "base_trial", lambda fit: trial_of(None, rows=np.zeros(log.n_steps)))
+    monkeypatch.setattr(refitting, "glances", glances)
+    monkeypatch.setattr(refitting, "longer", lambda current, trials, effort: trials)
+    outcome = lost_robot.recover(fit, directions_of(candidates(log)), refitting, follow)
+    assert outcome.accepted.effect.name == ("odometry-side-drift" if lost else name)
+    assert [one.effect.name for one in outcome.twins] == ([] if lost else told)
 
 
 def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere(rng):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -11,11 +12,13 @@ from scipy import stats
 
 from pmcl.criticism.fitting.quick_fit import THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.naming.candidates import in_order, of_carrier, of_sensors
+from pmcl.criticism.naming.candidates import in_order, of_carrier, of_sensors, twins_of, untried
+from pmcl.criticism.naming.probability import CREDIBLE
 from pmcl.criticism.naming.refits import Refits
-from pmcl.criticism.scoring.scores import Direction, effect_scores
+from pmcl.criticism.scoring.scores import Direction, effect_scores, instance_key
 from pmcl.errors import FilterError
 from pmcl.filtering.paired_scores import block_sums
+from pmcl.models.effects.effect import Effect
 
 __all__ = ["Recovery", "recover"]
 
@@ -34,10 +37,13 @@ class Recovery(NamedTuple):
         The model with the effect.
     trials : list of Trial
         All candidates that were refitted.
+    twins : list of Trial
+        Near twins of the effect that may be meant instead.
     """
 
     accepted: Trial
     trials: list[Trial]
+    twins: Sequence[Trial] = ()
 
 
 def recover(
@@ -49,7 +55,8 @@ def recover(
     easily. All effects of the motion are refitted, and if none helps those of the sensors. Scores along that trajectory
     still show which beams and landmarks are the likeliest. A sensor that is trusted less lets a filter follow even if
     the motion is wrong. An effect of a sensor is therefore refused if it gains less than a confirmed effect of the
-    motion with which the filter does not follow.
+    motion with which the filter does not follow. One that the catalogue calls a near twin of the answer competes with
+    it: a sensor that is turned looks like a robot that slides.
 
     Parameters
     ----------
@@ -94,9 +101,39 @@ def recover(
                 follow(trial.fit)
             except FilterError:
                 continue
-            return Recovery(trial, trials)
+            alike = twins_of([_effect(trial)], untried(candidates, {instance_key(_effect(one)) for one in trials}))
+            rivals = refits.longer(current, refits.glances(current, alike), THOROUGH)
+            best, *others = sorted(
+                [trial, *_following(rivals, current, follow)], key=lambda one: one.evidence, reverse=True
+            )
+            twins = [other for other in others if _may_be_meant(other, best)]
+            return Recovery(best, [*trials, *rivals], twins)
         least_evidence = max((trial.evidence for trial in confirmed), default=0.0)
     return None
+
+
+def _following(rivals: Sequence[Trial], current: Trial, follow: Callable[[Fit], None]) -> list[Trial]:
+    """Return the rivals that gain nearly everywhere and with which the filter follows."""
+    following = []
+    for rival in rivals:
+        try:
+            if _gains_everywhere(rival, current):
+                follow(rival.fit)
+                following.append(rival)
+        except FilterError:
+            continue
+    return following
+
+
+def _may_be_meant(other: Trial, best: Trial) -> bool:
+    """Return whether one of two alike effects belongs to the answer, if the noise of their evidences favours it."""
+    lead = best.evidence - other.evidence - math.hypot(best.noise, other.noise)
+    return lead < math.log(CREDIBLE / (1.0 - CREDIBLE))
+
+
+def _effect(trial: Trial) -> Effect:
+    assert trial.effect is not None
+    return trial.effect
 
 
 def _gaining_blocks(trial: Trial, current: Trial) -> NDArray[np.bool_]:
