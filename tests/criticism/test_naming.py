@@ -142,6 +142,30 @@ def test_what_the_evidence_of_a_trial_is_made_of(strength, monkeypatch, rng):
     assert trial.evidence == pytest.approx(expected)
 
 
+def test_what_is_scored_with_more_particles_has_its_own_noise(monkeypatch):
+    """Not that of the current model's particles, which are fewer: half of its variance would count as evidence."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    model, effect = default_model(log), effect_named("odometry-turn-scale", log)
+    base, more = model.bind(log), replace(model, effects=(effect,)).bind(log)
+
+    def row_scores(bound, theta, *, particles, seed, passes=2):
+        noise = 400.0 / particles / np.sqrt(passes) if passes > 1 else math.nan
+        return RowScores(np.full(60, 0.5 if bound is more else 0.0), noise)
+
+    monkeypatch.setattr(trials, "row_scores", row_scores)
+    draws = base.prior_mean() * np.linspace(0.9, 1.1, 9)[:, None]
+    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws, path=None)]
+    draws = np.hstack([draws, np.linspace(0.2, 0.3, 9)[:, None]])
+    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws, path=None))
+    monkeypatch.setattr(trials, "quick_fit", lambda *_, **__: fits[1])
+    current = trial_of_base(fits[0], seed=1, particles=100)
+    glance = try_effect(current, effect, 1.0, log, seed=1, particles=100, effort=GLANCE)
+    assert glance.noise == pytest.approx(4.0)  # a single pass cannot tell: that of the current model's
+    finer = trials.scored_anew(glance, current, seed=1, particles=400)
+    assert finer.noise == pytest.approx(1.0 / np.sqrt(2.0))
+    assert glance.evidence - finer.evidence == pytest.approx(0.5 * (4.0**2 - 0.5))
+
+
 def test_the_largest_block_of_a_gain_is_bounded():
     assert Gain(20.0, 5.0, 4.0).bounded == 20.0
     assert Gain(20.0, 5.0, 12.0).bounded == pytest.approx(8.0 + 4.0)

@@ -13,6 +13,7 @@ from scipy import integrate, special, stats
 
 from pmcl.engine import contract
 from pmcl.engine.compile import entry
+from pmcl.engine.tables import with_extras
 from pmcl.filtering.kernels import smc
 from pmcl.filtering.kernels.weighing import OneByOne, weigh
 from pmcl.filtering.one_step_ahead import pooled_increments, predict_by_passes, predict_readings
@@ -124,6 +125,32 @@ def test_distribution_functions_are_asked_of_states_in_proportion_to_their_weigh
     assert record.high[0] == pytest.approx(expected + 0.1, rel=1e-9)
     density = np.exp(-0.5 * (0.3 - state[0]) ** 2)
     assert record.log_score[0] == pytest.approx(np.log(np.average(density, weights=weights)), rel=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05])
+def test_sonars_with_heavy_tails_or_rounding_answer_for_the_states_that_are_asked(step, rng):
+    """As they do where all are asked, and with the same density; where neither is costly, all are asked."""
+    poses, n = made_tables.poses_in_room(rng, 7), 40
+    plain = with_extras(made_tables.range_beams(poses, rng))
+    extras = plain.extras._replace(tail=0.0 if step else 0.3, step=step)
+    sensor = plain._replace(extras=extras)
+    easy = plain._replace(extras=extras._replace(tail=0.0, step=0.0))
+    assert contract.states_asked(sensor) == 64
+    assert contract.states_asked(easy) == 0
+    current, asked = np.ascontiguousarray(made_tables.poses_in_room(rng, n).T), rng.random(n) < 0.3
+    scratch, memory = np.full((contract.scratch_rows(sensor) + 3, n), np.nan), np.full((3, n), np.nan)
+    compared = 0
+    slots = [(t, slot) for t in range(7) for slot in range(*contract.reading_slots(sensor, t))]
+    for t, slot in slots:
+        every, few = np.zeros((2, 3, n))
+        few[1, ~asked] = contract.NOT_ASKED
+        for out in (every, few):
+            measured = compiled_one(sensor, t, slot, current, current, *out, memory, scratch)
+        if measured:
+            np.testing.assert_array_equal(few[0], every[0])
+            np.testing.assert_array_equal(few[1:, asked], every[1:, asked])
+            compared += np.ptp(every[1]) > 0.01
+    assert compared >= 4
 
 
 @pytest.mark.slow
