@@ -48,12 +48,13 @@ class Marginals(NamedTuple):
         """Return the parameters that have standard normal values `z`, both (..., d)."""
         return np.asarray(self.location + self.scale * np.sinh((np.arcsinh(z) + self.skew) / self.tail))
 
-    def log_slope(self, u: Float) -> Float:
-        """Return the log of the derivative of :meth:`to_normal`, summed over parameters, (...)."""
+    def to_normal_with_slope(self, u: Float) -> tuple[Float, Float]:
+        """Return the values of :meth:`to_normal`, and the log of its derivative summed over parameters, (...)."""
         x = (u - self.location) / self.scale
-        inner = self.tail * np.arcsinh(x) - self.skew
-        slopes = np.log(self.tail / self.scale) + np.log(np.cosh(inner)) - 0.5 * np.log1p(x * x)
-        return np.asarray(slopes.sum(axis=-1))
+        z = np.sinh(self.tail * np.arcsinh(x) - self.skew)
+        # The derivative of sinh is cosh, and that of asinh the inverse of a square root: both follow from squares.
+        slope = np.log(self.tail / self.scale).sum() + 0.5 * np.log((1.0 + z * z) / (1.0 + x * x)).sum(axis=-1)
+        return z, np.asarray(slope)
 
 
 def marginals_of(u: Float) -> Marginals:
@@ -80,8 +81,8 @@ def _fit(draws: Float) -> Float:
     def cost(values: Float) -> float:
         location, log_scale, skew, log_tail = values
         one = Marginals(*(np.array([value]) for value in (location, np.exp(log_scale), skew, np.exp(log_tail))))
-        z = one.to_normal(x[:, None])
-        return float(np.mean(0.5 * z[:, 0] ** 2 - one.log_slope(x[:, None])))
+        z, log_slope = one.to_normal_with_slope(x[:, None])
+        return float(np.mean(0.5 * z[:, 0] ** 2 - log_slope))
 
     bounds = [(-3.0, 3.0), (-3.0, 3.0), (-_MOST_SKEW, _MOST_SKEW), (np.log(_TAILS[0]), np.log(_TAILS[1]))]
     found = optimize.minimize(cost, np.zeros(4), method="L-BFGS-B", bounds=bounds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 
@@ -35,12 +36,26 @@ class Unconstrained:
 
     def to_line(self, theta: Float) -> Float:
         """Return u for theta, both (..., d)."""
+        if theta.ndim == 1:
+            with contextlib.suppress(ValueError):  # a logarithm of zero or less, which numpy has a value for
+                return self._inside_to_line(theta)
         u = np.array(theta, dtype=float)
         half, interval = self.kind == _HALF, self.kind == _INTERVAL
         u[..., half] = np.log(theta[..., half] - self.low[half])
         share = (theta[..., interval] - self.low[interval]) / (self.high - self.low)[interval]
         u[..., interval] = np.log(share) - np.log1p(-share)
         return u
+
+    def _inside_to_line(self, theta: Float) -> Float:
+        """Do what :meth:`to_line` does for theta (d,) inside the support; numpy takes five times as long for so few."""
+        u = theta.tolist()
+        for k, (x, (kind, low, high)) in enumerate(zip(u, self._rows, strict=True)):
+            if kind == _HALF:
+                u[k] = math.log(x - low)
+            elif kind == _INTERVAL:
+                share = (x - low) / (high - low)
+                u[k] = math.log(share) - math.log1p(-share)
+        return np.array(u)
 
     def from_line(self, u: Float) -> tuple[Float, float]:
         """Return theta (d,) and the log of |d theta / d u| for u (d,)."""

@@ -92,7 +92,7 @@ class Proposal:
         assert self.centre is not None
         slope: Float | float = 0.0
         if self.marginals is not None:
-            u, slope = self.marginals.to_normal(u), self.marginals.log_slope(u)
+            u, slope = self.marginals.to_normal_with_slope(u)
         z = (u - self.centre) @ self._whitening.T
         return np.asarray(slope - 0.5 * (_FREEDOM + u.shape[-1]) * np.log1p((z * z).sum(axis=-1) / _FREEDOM))
 
@@ -343,12 +343,12 @@ def transport_moves(
     if proposal.centre is None:
         walks[:] = True
     follow = rng.random(n_moves) < 0.5 if precisions.logs else np.zeros(n_moves, bool)
+    log_here: float | None = None  # the independent proposal's density at u, where it is known
     # Independent proposals do not depend on where the chain is: all of a sweep are made at once.
     if not walks.all():
         jumps = proposal.independent(normal, stretch)
-        log_jumps = proposal.log_density(jumps)
+        log_here, *log_jumps = proposal.log_density(np.vstack([u, jumps])).tolist()
     proposed, accepted = [0, 0], [0, 0]
-    log_here: float | None = None  # the independent proposal's density at u, once it is needed
     for move in range(n_moves):
         kind = _WALK if walks[move] else _JUMP
         proposed[kind] += 1
@@ -356,7 +356,7 @@ def transport_moves(
         if kind == _JUMP:
             u_new = jumps[move]
             log_here = float(proposal.log_density(u)) if log_here is None else log_here
-            log_forward, log_back = float(log_jumps[move]), log_here
+            log_forward, log_back = log_jumps[move], log_here
         else:
             u_new = u + scale * (proposal.root @ normal[move])
         theta_new, log_jacobian = transform.from_line(u_new)
@@ -406,7 +406,7 @@ def _redrawn(
 ) -> tuple[list[Float], float, float]:
     """Redraw all paths in blocks with boundaries chosen anew; return (paths, their log density, share accepted)."""
     schedule = transport.schedule
-    block = schedule.block * (int(rng.choice(STRETCHED)) if schedule.stretched else 1)
+    block = schedule.block * (STRETCHED[rng.integers(len(STRETCHED))] if schedule.stretched else 1)
     new, log_density, accepted = [], 0.0, []
     for tables, geometry, reference, old in zip(all_tables, geometries, transport.references, paths, strict=True):
         n_steps = old.shape[0]
@@ -419,7 +419,7 @@ def _redrawn(
         new.append(path)
         log_density += value
         accepted.append(share)
-    return new, log_density, float(np.mean(accepted))
+    return new, log_density, math.fsum(accepted) / len(accepted)
 
 
 def _redrawn_where_doubtful(
