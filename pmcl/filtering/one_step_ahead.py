@@ -184,12 +184,12 @@ def predict_by_passes(
     )
 
 
-def pooled_increments(increments: Sequence[Float]) -> Float:
+def pooled_increments(increments: Float | Sequence[Float]) -> Float:
     """Return the log predictive density of each row's readings, mixed from independent passes of a filter.
 
     Parameters
     ----------
-    increments : sequence of ndarray, shape (T,)
+    increments : ndarray, shape (K, T), or sequence of K ndarray, shape (T,)
         Log predictive densities of the rows by each pass [nat].
 
     Returns

@@ -12,13 +12,14 @@ from scipy import stats
 
 from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.fitting import trials
-from pmcl.criticism.fitting.held_out import RowScores
+from pmcl.criticism.fitting.held_out import RowScores, noise_of_rows
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
 from pmcl.criticism.naming.candidates import RankedEffect, by_score, in_order, of_carrier, of_sensors, twins_of, untried
 from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome
 from pmcl.criticism.scoring.scores import directions_of, instance_key
+from pmcl.filtering.one_step_ahead import pooled_increments
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
@@ -113,57 +114,96 @@ def test_evidence_is_exact_for_a_gaussian(rng):
     assert log_prior_and_volume(loose) > log_prior_and_volume(fit) + 2.0
 
 
+def fitted_models(log, rng, strength):
+    """A base model and the same with one effect, both with draws about a mean, without a fit."""
+    model, effect = default_model(log), effect_named("odometry-turn-scale", log)
+    base, more = model.bind(log), replace(model, effects=(effect,)).bind(log)
+    theta = base.prior_mean()
+    draws = theta * (1.0 + 0.1 * rng.standard_normal((400, theta.size)))
+    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws, path=None)]
+    draws = np.hstack([draws, strength + 0.01 * rng.standard_normal((400, 1))])
+    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws, path=None))
+    return effect, fits
+
+
 @pytest.mark.parametrize("strength", [0.5, 0.01])
 def test_what_the_evidence_of_a_trial_is_made_of(strength, monkeypatch, rng):
     """Far from no effect from gains, noise of particles and priors; near none from the draws alone."""
     log = simulate_landmark_field(60, 1, bearings=True)
-    model, effect = default_model(log), effect_named("odometry-turn-scale", log)
-    base, more = model.bind(log), replace(model, effects=(effect,)).bind(log)
+    effect, fits = fitted_models(log, rng, strength)
+    base, more = fits[0].bound, fits[1].bound
     rows = {base: np.zeros(60), more: np.full(60, 0.7)}
-    noise = {base: 1.5, more: 2.0}
-    monkeypatch.setattr(trials, "row_scores", lambda bound, *_, **__: RowScores(rows[bound], noise[bound]))
-    theta = base.prior_mean()
-    draws = theta * (1.0 + 0.1 * rng.standard_normal((400, theta.size)))
-    of_effect = strength + 0.01 * rng.standard_normal((400, 1))
-    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws)]
-    draws = np.hstack([draws, of_effect])
-    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws))
+    passes = {base: np.zeros((8, 60)) + 0.1 * rng.standard_normal((8, 60)), more: rng.standard_normal((2, 60))}
+    noise = {base: noise_of_rows(passes[base]), more: 2.0}
+
+    def row_scores(bound, *_, **__):
+        return RowScores(rows[bound], noise[bound], passes[bound])
+
+    monkeypatch.setattr(trials, "row_scores", row_scores)
     monkeypatch.setattr(trials, "quick_fit", lambda *_, **__: fits[1])
     current = trial_of_base(fits[0], seed=1, particles=100)
-    current = replace(current, fit=SimpleNamespace(**vars(fits[0]), path=None))
     trial = try_effect(current, effect, 1.0, log, seed=1, particles=100, effort=THOROUGH)
     if strength < 0.1:
-        prior = effect.parameters[0].prior
+        of_effect, prior = fits[1].draws[:, -1], effect.parameters[0].prior
         expected = prior.logpdf(0.0) - stats.norm(of_effect.mean(), of_effect.std(ddof=1)).logpdf(0.0)
     else:
         lost = log_prior_and_volume(fits[1]) - log_prior_and_volume(fits[0])
         assert lost < -1.0
-        expected = 0.7 * 60 + 0.5 * (2.0**2 - 1.5**2) + lost
+        # The current model counts as scored by two passes, too.
+        pairs = [passes[base][k : k + 2] for k in (0, 2, 4, 6)]
+        before = np.mean([pooled_increments(pair) for pair in pairs], axis=0)
+        variance = np.mean([noise_of_rows(pair) ** 2 for pair in pairs])
+        expected = (rows[more] - before).sum() + 0.5 * (2.0**2 - variance) + lost
     assert trial.evidence == pytest.approx(expected)
 
 
-def test_what_is_scored_with_more_particles_has_its_own_noise(monkeypatch):
-    """Not that of the current model's particles, which are fewer: half of its variance would count as evidence."""
-    log = simulate_landmark_field(60, 1, bearings=True)
-    model, effect = default_model(log), effect_named("odometry-turn-scale", log)
-    base, more = model.bind(log), replace(model, effects=(effect,)).bind(log)
+def filtered(variance, rng):
+    """Scores by a filter: the log of an unbiased estimate of each row's density; more particles, less variance."""
 
     def row_scores(bound, theta, *, particles, seed, passes=2):
-        noise = 400.0 / particles / np.sqrt(passes) if passes > 1 else math.nan
-        return RowScores(np.full(60, 0.5 if bound is more else 0.0), noise)
+        of_row = variance[bound] / particles
+        increments = rng.normal(-0.5 * of_row, math.sqrt(of_row), (passes, bound.lengths[0]))
+        return RowScores(pooled_increments(increments), noise_of_rows(increments), increments)
 
-    monkeypatch.setattr(trials, "row_scores", row_scores)
-    draws = base.prior_mean() * np.linspace(0.9, 1.1, 9)[:, None]
-    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws, path=None)]
-    draws = np.hstack([draws, np.linspace(0.2, 0.3, 9)[:, None]])
-    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws, path=None))
+    return row_scores
+
+
+@pytest.mark.parametrize("effort", [GLANCE, THOROUGH])
+@pytest.mark.parametrize("finer", [False, True])
+def test_few_passes_speak_neither_for_nor_against_an_effect(effort, finer, monkeypatch, rng):
+    """Eight passes together score higher than one or two: the current model's advantage must not count."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    effect, fits = fitted_models(log, rng, 0.5)
+    variance = {fit.bound: 60.0 for fit in fits}  # a noise of six nats with 100 particles
+    monkeypatch.setattr(trials, "row_scores", filtered(variance, rng))
     monkeypatch.setattr(trials, "quick_fit", lambda *_, **__: fits[1])
-    current = trial_of_base(fits[0], seed=1, particles=100)
-    glance = try_effect(current, effect, 1.0, log, seed=1, particles=100, effort=GLANCE)
-    assert glance.noise == pytest.approx(4.0)  # a single pass cannot tell: that of the current model's
-    finer = trials.scored_anew(glance, current, seed=1, particles=400)
-    assert finer.noise == pytest.approx(1.0 / np.sqrt(2.0))
-    assert glance.evidence - finer.evidence == pytest.approx(0.5 * (4.0**2 - 0.5))
+    found = []
+    for _ in range(60):
+        current = trial_of_base(fits[0], seed=1, particles=100)
+        trial = try_effect(current, effect, 1.0, log, seed=1, particles=100, effort=effort)
+        more = trial_of_base(fits[0], seed=1, particles=400, passes=4)
+        found.append(trials.scored_anew(trial, more, seed=1) if finer else trial)
+    expected = log_prior_and_volume(fits[1]) - log_prior_and_volume(fits[0])
+    # Where blocks are bounded, gains of noise alone lose what the largest block has.
+    gains = np.array([one.evidence - one.gain.bounded + one.gain.total - expected for one in found])
+    assert abs(gains.mean()) < 4.0 * gains.std() / math.sqrt(gains.size)
+    noise = np.array([one.noise for one in found])
+    assert 0.6 * gains.std() < np.median(noise) < 1.5 * gains.std()
+    # The same scores against all passes of the current model together would speak against the effect.
+    if not finer:
+        against = np.array([one.row_scores.sum() for one in found]).mean()
+        assert against < -5.0
+
+
+def test_sums_of_passes_tell_noise_that_lasts(rng):
+    """An unlucky pass loses in many rows; a lost filter must not make everything uncertain."""
+    independent = rng.normal(0.0, 0.1, (8, 200))
+    assert trials._understated(independent) == pytest.approx(1.0, abs=0.6)
+    unlucky = independent + np.linspace(-0.02, 0.02, 8)[:, None]
+    assert trials._understated(unlucky) > 1.5
+    lost = independent + np.linspace(-50.0, 0.0, 8)[:, None]
+    assert trials._understated(lost) == 2.0
+    assert trials._understated(independent[:1]) == 1.0
 
 
 def test_the_largest_block_of_a_gain_is_bounded():

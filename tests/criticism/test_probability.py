@@ -31,7 +31,7 @@ def effect(name, place=None, prior=None, squared=False):
 
 def trial(of, evidence, noise=0.0, effort=THOROUGH):
     """A trial with so much evidence."""
-    return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, 100, effort)
+    return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, np.zeros((1, 2)), 100, effort)
 
 
 def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0, p_value_with=None, **same):

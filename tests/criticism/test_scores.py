@@ -203,6 +203,23 @@ def broken(tables, values, log, where):
     return tables._replace(sensors=(sensor._replace(reading=reading, std=np.inf),))
 
 
+def test_rounding_is_no_score():
+    """A patch where the robot never was changes densities by rounding alone, more often to one side."""
+    log = simulate_landmark_field(120, 1, bearings=True)
+    (grows,) = (one for one in candidates(log) if one.name == "turn-noise-grows-with-turn")
+    (patch, *_) = (one for one in candidates(log) if one.name == "slippery-patch")
+    model = replace(default_model(log), effects=(grows,))
+    bound = model.bind(log)
+    tables = bound.tables(bound.prior_mean())[0]
+    rng = make_rng(1)
+    paths = draw_paths(tables, run_filter(tables, 120, 500, rng), 10, rng)
+    columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
+    far, near = (replace(patch, where={"place": place}) for place in ((1e3, 1e3), tuple(columns[0, :2].mean(axis=1))))
+    scores = effect_scores(tables, log, columns, directions_of((far, near)))
+    assert (scores[0] == 0.0).all()
+    assert np.count_nonzero(scores[1]) > 0
+
+
 def test_a_density_that_is_no_number_is_no_zero_score():
     log = rail_log(25, seed=3)
     bound = rail_model().bind(log)

@@ -31,10 +31,10 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 SETTINGS = Settings(particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False)
 
 
-def trial_of(effect, evidence=0.0, effort=GLANCE, particles=400, rows=None):
+def trial_of(effect, evidence=0.0, effort=GLANCE, particles=400, rows=None, noise=0.3):
     """A trial with so much evidence, from many blocks of rows."""
     rows = np.zeros(60) if rows is None else rows
-    return Trial(effect, None, None, rows, 1.0, Gain(evidence, 1.0), evidence, 0.3, particles, effort)
+    return Trial(effect, None, None, rows, 1.0, Gain(evidence, 1.0), evidence, noise, rows[None], particles, effort)
 
 
 class Case:
@@ -62,13 +62,14 @@ class Case:
             self.done.append((trial.effect.name, "brief" if effort == BRIEF else "thorough"))
             return replace(trial, effort=effort)
 
-        def scored(trial, current, *, particles, **settings):
+        def scored(trial, current, **settings):
             self.done.append((trial.effect.name, "finer"))
-            return replace(trial, particles=particles)
+            return replace(trial, particles=current.particles)
 
         monkeypatch.setattr(refits, "try_effect", tried)
         monkeypatch.setattr(refits, "refitted", refitted)
         monkeypatch.setattr(refits, "scored_anew", scored)
+        monkeypatch.setattr(refits, "trial_of_base", lambda fit, *, particles, **_: trial_of(None, particles=particles))
         monkeypatch.setattr(search, "remarkable_formulas", lambda *_: offered)
 
     def explain(self, further=True):
@@ -492,3 +493,26 @@ def test_an_effect_is_told_beside_something_unknown_if_it_is_clear_and_alarms_st
     assert case.search.beside_something_unknown(case.last, current, outcome) is outcome
     empty = outcome._replace(trials=[], probable=Explanations(0.0, 1.0, (), ()))
     assert case.search.beside_something_unknown(case.last, current, empty) is empty
+
+
+def test_what_noise_may_have_hidden_is_scored_with_more_particles_before_others_are_tried(monkeypatch):
+    """An effect of ten nats that was scored with a noise of four nats, and an unlucky one."""
+    case = Case(monkeypatch, gains(odometry_turn_scale=4.0), {"odometry-turn-scale": 5.0}, p_value=1e-5)
+    unlucky, lucky = refits.try_effect, refits.scored_anew
+    monkeypatch.setattr(refits, "try_effect", lambda *args, **kws: replace(unlucky(*args, **kws), noise=4.0))
+
+    def scored_anew(trial, current, **settings):
+        evidence = 14.0 if trial.effect.name == "odometry-turn-scale" else trial.evidence
+        return replace(lucky(trial, current, **settings), evidence=evidence, noise=0.5)
+
+    monkeypatch.setattr(refits, "scored_anew", scored_anew)
+    outcome = case.explain()
+    assert outcome.accepted.effect.name == "odometry-turn-scale"
+    assert case.names("finer")[0] == "odometry-turn-scale"
+    assert outcome.accepted.particles == search._FINER * 400
+    assert len(case.names("glance")) < search._BATCH + 6
+    # Without noise there is no doubt, and all others are tried.
+    sure = Case(monkeypatch, gains(odometry_turn_scale=4.0), {"odometry-turn-scale": 5.0}, p_value=1e-5)
+    assert sure.explain().accepted is None
+    assert not sure.names("finer")
+    assert len(sure.names("glance")) > search._BATCH + 6

@@ -18,8 +18,8 @@ from pmcl.models.effects.formula import portable
 from pmcl.models.robot_model import BoundModel, RobotModel
 
 __all__ = [
-    "HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "predicted_log",
-    "row_scores",
+    "HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "noise_of_rows",
+    "predicted_log", "row_scores",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -56,10 +56,13 @@ class RowScores(NamedTuple):
     noise : float
         Standard deviation that their sum has because particles are random [nat], to first order; NaN from a single
         pass, which cannot tell.
+    of_passes : ndarray, shape (K, T)
+        The same of each pass.
     """
 
     rows: Float
     noise: float
+    of_passes: Float
 
 
 def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> RowScores:
@@ -97,16 +100,33 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
     """
     tables, n_steps = bound.tables(theta)[0], bound.lengths[0]
     with parameters_told(bound, theta):
-        increments = [
+        increments = np.array([
             run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
             for k in range(passes)
-        ]
-    noise = float("nan")
-    if passes > 1:
-        # Of densities, not of their logs: the mean of densities hardly depends on a pass that misses what is read.
-        relative = np.exp(increments - special.logsumexp(increments, axis=0)) * passes
-        noise = float(np.sqrt(np.var(relative, axis=0, ddof=1).sum() / passes))
-    return RowScores(pooled_increments(increments), noise)
+        ])
+    return RowScores(pooled_increments(increments), noise_of_rows(increments), increments)
+
+
+def noise_of_rows(increments: Float) -> float:
+    """Return the noise of a mixture of passes, from how much they differ row by row.
+
+    Parameters
+    ----------
+    increments : ndarray, shape (K, T)
+        Log scores of the rows by each pass [nat].
+
+    Returns
+    -------
+    float
+        Standard deviation of the sum of the mixture's log scores, to first order and as if rows were independent of
+        each other [nat]; NaN from a single pass.
+    """
+    passes = increments.shape[0]
+    if passes == 1:
+        return float("nan")
+    # Of densities, not of their logs: the mean of densities hardly depends on a pass that misses what is read.
+    relative = np.exp(increments - special.logsumexp(increments, axis=0)) * passes
+    return float(np.sqrt(np.var(relative, axis=0, ddof=1).sum() / passes))
 
 
 class HeldOut(NamedTuple):

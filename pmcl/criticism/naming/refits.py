@@ -17,6 +17,9 @@ from pmcl.streams import stream_seed
 
 __all__ = ["Refits"]
 
+# Passes by which the current model is scored with more particles: few, since each takes as long as several usual ones.
+_PASSES_OF_FINER = 4
+
 
 class Refits:
     """Refits candidates, and remembers what was refitted since the last judgement of the log.
@@ -32,6 +35,7 @@ class Refits:
     def __init__(self, log: RobotLog, settings: Settings) -> None:
         self.log, self.settings = log, settings
         self._known: dict[Any, Trial] = {}
+        self._finer: list[tuple[Trial, Trial]] = []  # current models, and the same scored with more particles
 
     @property
     def seed(self) -> int:
@@ -40,7 +44,7 @@ class Refits:
 
     def forget(self) -> None:
         """Forget all trials, because they belong to another current model."""
-        self._known = {}
+        self._known, self._finer = {}, []
 
     def base_trial(self, fit: Fit) -> Trial:
         """Score a fitted model, with which candidates are compared."""
@@ -96,7 +100,11 @@ class Refits:
         """
 
         def fit(k: int) -> Trial:
-            return refitted(trials[k], current, seed=self.seed, particles=current.particles, effort=effort)
+            # What was scored with more particles for a reason is again.
+            particles = trials[k].particles
+            return refitted(
+                trials[k], self._with_particles(current, particles), seed=self.seed, particles=particles, effort=effort
+            )
 
         longer = self.settings.mapped(fit, "longer fits of candidates", _names_of(trials))
         for trial in longer:
@@ -120,11 +128,25 @@ class Refits:
         list of Trial
             In the same order.
         """
+        if not trials:
+            return []
+        finer = self._with_particles(current, times * current.particles)
 
         def score(k: int) -> Trial:
-            return scored_anew(trials[k], current, seed=self.seed, particles=times * current.particles)
+            return scored_anew(trials[k], finer, seed=self.seed)
 
         return self.settings.mapped(score, "scoring with more particles", _names_of(trials))
+
+    def _with_particles(self, current: Trial, particles: int) -> Trial:
+        """Return the current model scored with so many particles: only like is compared with like."""
+        if particles == current.particles:
+            return current
+        for known, finer in self._finer:
+            if known is current and finer.particles == particles:
+                return finer
+        finer = trial_of_base(current.fit, seed=self.seed, particles=particles, passes=_PASSES_OF_FINER)
+        self._finer.append((current, finer))
+        return finer
 
     def _remember(self, trial: Trial) -> None:
         assert trial.effect is not None

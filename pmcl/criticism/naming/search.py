@@ -65,9 +65,11 @@ __all__ = ["Outcome", "Search"]
 # So many candidates are fitted at a glance at a time, the likeliest first. It decides how long a search takes, hardly
 # what it finds: the search goes on where these do not explain the log.
 _BATCH = 5
-# Effects that share the answer are scored with so many times as many particles: what tells them apart may be less than
-# the noise of the usual number.
-_FINER = 4
+# Effects that share the answer, or that may be the answer if noise of particles was against them, are scored with so
+# many times as many particles; of the latter no more than the likeliest few.
+_FINER, _MOST_IN_DOUBT = 4, 3
+# Noise of an evidence that needs no more particles [nat].
+_LITTLE_NOISE = 1.0
 
 
 class Outcome(NamedTuple):
@@ -366,7 +368,10 @@ class Search:
             probable = self._explanations(last, current, trials, formulas)
             longer = self._longer(current, trials, probable.credible if probable.likely else ())
             if all(after is before for after, before in zip(longer, trials, strict=True)):
-                return trials
+                doubtful = _in_doubt_by_noise(current, trials, probable)
+                if not doubtful:
+                    return trials
+                longer = _replaced(trials, doubtful, self.refits.finer(current, doubtful, _FINER))
             trials = longer  # others may be the answer now
 
     def _longer(self, current: Trial, trials: list[Trial], effects: Sequence[Effect] | None = None) -> list[Trial]:
@@ -386,7 +391,8 @@ class Search:
         sharing = [trial for trial in trials if instance_key(_effect(trial)) in keys and not trial.nested]
         if len(sharing) < 2 or not probable.likely:
             return trials
-        return _replaced(trials, sharing, self.refits.finer(current, sharing, _FINER))
+        coarse = [trial for trial in sharing if trial.particles == current.particles]
+        return _replaced(trials, coarse, self.refits.finer(current, coarse, _FINER))
 
     def _answer(
         self, last: JudgedFit, trials: list[Trial], probable: Explanations, formulas: FormulaCandidates | None
@@ -407,6 +413,25 @@ class Search:
 def _near_twins_of(effects: Sequence[Effect], others: Sequence[Effect]) -> list[Effect]:
     """Return those of `others` of which the catalogue says that they look like one of some effects."""
     return [other for other in others if any(are_near_twins(other, effect) for effect in effects)]
+
+
+def _in_doubt_by_noise(current: Trial, trials: Sequence[Trial], probable: Explanations) -> list[Trial]:
+    """Return what may be right although the log does not seem explained, and is not known better for want of particles.
+
+    An effect of ten nats, scored with a noise of five, would often be missed.
+    """
+    if probable.explained:
+        return []
+    keys = {instance_key(effect) for effect in probable.may_be_right}
+    noisy = [
+        trial
+        for trial in trials
+        if instance_key(_effect(trial)) in keys
+        and trial.particles == current.particles
+        and not trial.nested
+        and trial.noise > _LITTLE_NOISE
+    ]
+    return sorted(noisy, key=lambda trial: -probable.of(_effect(trial)))[:_MOST_IN_DOUBT]
 
 
 def _leading(trials: Sequence[Trial], probable: Explanations) -> Effect | None:
