@@ -17,6 +17,7 @@ from pmcl.filtering.kernels import smc
 from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
+from pmcl.models.effects.selection import effect_named
 from pmcl.models.motions.odometry.motion import Differential
 from pmcl.models.parameters import Parameter
 from pmcl.models.robot_model import RobotModel, default_model
@@ -207,14 +208,15 @@ def test_rounding_is_no_score():
     """A patch where the robot never was changes densities by rounding alone, more often to one side."""
     log = simulate_landmark_field(120, 1, bearings=True)
     (grows,) = (one for one in candidates(log) if one.name == "turn-noise-grows-with-turn")
-    (patch, *_) = (one for one in candidates(log) if one.name == "slippery-patch")
+    patch = effect_named("slippery-patch", log)
     model = replace(default_model(log), effects=(grows,))
     bound = model.bind(log)
     tables = bound.tables(bound.prior_mean())[0]
     rng = make_rng(1)
     paths = draw_paths(tables, run_filter(tables, 120, 500, rng), 10, rng)
     columns = np.ascontiguousarray(paths.transpose(0, 2, 1))
-    far, near = (replace(patch, where={"place": place}) for place in ((1e3, 1e3), tuple(columns[0, :2].mean(axis=1))))
+    places = ((1e3, 1e3), tuple(columns[0, :2].mean(axis=1)))
+    far, near = (patch.at({"place": place}, log) for place in places)
     scores = effect_scores(tables, log, columns, directions_of((far, near)))
     assert (scores[0] == 0.0).all()
     assert np.count_nonzero(scores[1]) > 0
