@@ -20,6 +20,7 @@ from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of
 from pmcl.criticism.fitting.next_drive import next_drive
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.when import Acting, acting
+from pmcl.criticism.naming.probability import unknown_without_refits
 from pmcl.criticism.naming.revision import Answer
 from pmcl.criticism.state import State, Task
 from pmcl.errors import FilterError, SamplingError
@@ -66,7 +67,10 @@ def concluded(task: Task, state: State, *, draws: int = 0) -> Criticism:
         for answer, effect, window in zip(state.answers, added, windows, strict=True)
     )
     unexplained = unexplained_of(state.judged, task.search.directions)
-    verdict, lost = verdict_of(found, state.judged.judgement), ""
+    missing = 1.0 - state.nothing_probability
+    if found:
+        missing = unknown_without_refits(state.judged.judgement, task.search.directions)
+    verdict, lost = verdict_of(found, state.judged.judgement, missing), ""
     if task.loss is not None and (task.loss.partial or not found):
         lost = task.loss.what
         verdict, unexplained = UNKNOWN, (task.loss.place, *unexplained)

@@ -11,7 +11,13 @@ from scipy import integrate, stats
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.naming.probability import NOTHING_PRIOR, explanations, log_prior_odds, nothing_without_refits
+from pmcl.criticism.naming.probability import (
+    NOTHING_PRIOR,
+    explanations,
+    log_prior_odds,
+    nothing_without_refits,
+    unknown_without_refits,
+)
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.effect import Effect
@@ -194,3 +200,18 @@ def test_names_that_are_told_with_a_probability_are_right_as_often(rng):
         error = np.sqrt(probability[inside] @ (1.0 - probability[inside])) / inside.sum()
         # Formulas, which were not tried, have a share of the prior that is missing from the sum: 6 % at most.
         assert abs(right[inside].mean() - probability[inside].mean()) < 4.0 * error + 0.065 * probability[inside].mean()
+
+
+def test_an_alarm_that_nothing_explains_needs_a_small_p_value():
+    """Half is on nothing, and something unknown has the share of one family of effects."""
+    directions = directions_of([effect("odometry-turn-scale"), effect("odometry-arc")])
+
+    def unknown(p_value):
+        return unknown_without_refits(SimpleNamespace(p_value=p_value), directions)
+
+    assert unknown(0.9) == pytest.approx(0.125 / 0.625)  # a p-value that says nothing leaves the prior odds
+    values = [unknown(p) for p in (0.3, 0.1, 0.03, 0.01, 1e-4)]
+    assert values == sorted(values)
+    # Sellke, Bayarri and Berger: odds of at most 1 / (-e p ln p) = 8.0 to 1 times the prior odds of 1 to 4.
+    assert unknown(0.01) == pytest.approx(1.0 / (1.0 + 4.0 / 7.988), abs=1e-3)
+    assert unknown(1e-4) > 0.99

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,15 @@ from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, so
 
 from pmcl.criticism.findings.json_text import effect_entry
 from pmcl.criticism.findings.parts import Alternative, Estimate, FoundEffect, Unexplained
-from pmcl.criticism.findings.verdict import UNKNOWN, finding_of, sentence_of, with_place
+from pmcl.criticism.findings.verdict import (
+    EXPLAINED,
+    NOTHING,
+    UNKNOWN,
+    finding_of,
+    sentence_of,
+    verdict_of,
+    with_place,
+)
 from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect
 
@@ -150,3 +159,19 @@ def test_what_nothing_explains_is_told_with_its_place(channel, beams, told_as):
         f"Something is missing that no known effect explains: it shows in {told_as}, "
         "most in rows 10 to 20 (p = 1.0e-09)"
     )
+
+
+@pytest.mark.parametrize(
+    ("found", "raised", "missing", "verdict"),
+    [
+        (False, True, 0.6, UNKNOWN),
+        (False, True, 0.4, NOTHING),  # an alarm by chance is more probable
+        (False, False, 0.6, NOTHING),
+        (True, True, 0.6, UNKNOWN),
+        (True, True, 0.4, EXPLAINED),
+        (True, False, 0.6, EXPLAINED),
+    ],
+)
+def test_an_alarm_counts_if_something_missing_is_more_probable_than_chance(found, raised, missing, verdict):
+    judgement = SimpleNamespace(raised=("an alarm",) if raised else ())
+    assert verdict_of([None] if found else [], judgement, missing) == verdict

@@ -29,7 +29,7 @@ from pmcl.models.effects.formula import PREFIX
 
 __all__ = [
     "CREDIBLE", "LEAST_LISTED", "NOTHING_PRIOR", "Explanations", "evidence_of_scores", "explanations",
-    "log_prior_odds", "nothing_without_refits", "suspects", "with_probabilities",
+    "log_prior_odds", "nothing_without_refits", "suspects", "unknown_without_refits", "with_probabilities",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -257,6 +257,20 @@ def nothing_without_refits(judgement: Judgement, directions: Sequence[Direction]
     """
     nothing, _ = _by_scores_alone(directions, judgement.score, judgement.score_std, judgement.p_value)
     return nothing
+
+
+def unknown_without_refits(judgement: Judgement, directions: Sequence[Direction]) -> float:
+    """Return the probability that a model lacks something that no effect explains, from its alarms: an upper bound.
+
+    Parameters
+    ----------
+    judgement : Judgement
+        Tests of the log under a model beside which no effect is probable.
+    directions : sequence of Direction
+        The K candidates of these tests.
+    """
+    nothing, unknown = _priors([], directions, 1)
+    return float(special.expit(np.log(unknown / nothing) + _evidence_bound(judgement.p_value)))
 
 
 def suspects(judgement: Judgement, directions: Sequence[Direction]) -> list[Effect]:
