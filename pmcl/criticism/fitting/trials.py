@@ -22,7 +22,8 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import RobotModel
 
 __all__ = [
-    "Trial", "evidence_between", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base", "try_effect",
+    "Trial", "effect_of", "evidence_between", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base",
+    "try_effect",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
@@ -101,6 +102,12 @@ class Trial:
     def thorough(self) -> bool:
         """Whether the fit is as long as fits get."""
         return self.effort == THOROUGH
+
+
+def effect_of(trial: Trial) -> Effect:
+    """Return the effect that a trial has and the current model lacks, where it is known to have one."""
+    assert trial.effect is not None
+    return trial.effect
 
 
 def log_prior_and_volume(fit: Fit) -> float:

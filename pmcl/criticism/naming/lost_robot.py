@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pmcl.criticism.fitting.quick_fit import THOROUGH, Fit
-from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.trials import Trial, effect_of
 from pmcl.criticism.naming.candidates import in_order, of_carrier, of_sensors, twins_of, untried
 from pmcl.criticism.naming.probability import CREDIBLE
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, effect_scores, instance_key
 from pmcl.errors import FilterError
 from pmcl.filtering.paired_scores import block_sums
-from pmcl.models.effects.effect import Effect
 
 __all__ = ["Recovery", "recover"]
 
@@ -101,7 +100,7 @@ def recover(
                 follow(trial.fit)
             except FilterError:
                 continue
-            alike = twins_of([_effect(trial)], untried(candidates, {instance_key(_effect(one)) for one in trials}))
+            alike = twins_of([effect_of(trial)], untried(candidates, {instance_key(effect_of(one)) for one in trials}))
             rivals = refits.longer(current, refits.glances(current, alike), THOROUGH)
             best, *others = sorted(
                 [trial, *_following(rivals, current, follow)], key=lambda one: one.evidence, reverse=True
@@ -129,11 +128,6 @@ def _may_be_meant(other: Trial, best: Trial) -> bool:
     """Return whether one of two alike effects belongs to the answer, if the noise of their evidences favours it."""
     lead = best.evidence - other.evidence - math.hypot(best.noise, other.noise)
     return lead < math.log(CREDIBLE / (1.0 - CREDIBLE))
-
-
-def _effect(trial: Trial) -> Effect:
-    assert trial.effect is not None
-    return trial.effect
 
 
 def _gaining_blocks(trial: Trial, current: Trial) -> NDArray[np.bool_]:

@@ -31,7 +31,7 @@ from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.findings.result import JudgedFit
 from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import BRIEF, THOROUGH, Fit
-from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.fitting.trials import Trial, effect_of
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.candidates import (
     RankedEffect,
@@ -255,7 +255,7 @@ class Search:
         candidates = by_score(self.directions, last.judgement)
         formulas = refuted.formulas if refuted is not None else None
         trials = list(refuted.trials) if refuted is not None else []
-        tried = {instance_key(_effect(trial)) for trial in trials}
+        tried = {instance_key(effect_of(trial)) for trial in trials}
         probable = self._explanations(last, current, trials, formulas)
 
         def rest() -> list[RankedEffect]:
@@ -332,7 +332,7 @@ class Search:
             return outcome
         trials = self._longer(current, outcome.trials, probable.credible)
         of = self._explanations(last, current, trials, formulas).of
-        best = max(trials, key=lambda trial: of(_effect(trial)))
+        best = max(trials, key=lambda trial: of(effect_of(trial)))
         try:
             p_value = self.models.judge_ahead(best.fit, self.settings).p_value
         except FilterError:  # with the effect the filter loses the robot: there are no alarms to go by
@@ -362,7 +362,7 @@ class Search:
         # One that is the answer already is fitted thoroughly below.
         brief = probable.may_be_right if len(probable.may_be_right) > 1 or not probable.likely else ()
         keys = {instance_key(effect) for effect in brief}
-        glanced = [trial for trial in trials if trial.glanced and instance_key(_effect(trial)) in keys]
+        glanced = [trial for trial in trials if trial.glanced and instance_key(effect_of(trial)) in keys]
         trials = _replaced(trials, glanced, self.refits.longer(current, glanced, BRIEF))
         while True:
             probable = self._explanations(last, current, trials, formulas)
@@ -380,7 +380,7 @@ class Search:
         some = [
             trial
             for trial in trials
-            if not trial.thorough and (keys is None or instance_key(_effect(trial)) in keys)
+            if not trial.thorough and (keys is None or instance_key(effect_of(trial)) in keys)
         ]
         return _replaced(trials, some, self.refits.longer(current, some, THOROUGH))
 
@@ -388,7 +388,7 @@ class Search:
         """Score those effects with more particles that share the answer, or are near twins of one that has part."""
         listed = [effect for effect in probable.effects if probable.of(effect) >= LEAST_LISTED]
         keys = {instance_key(effect) for effect in (*probable.credible, *_near_twins_of(probable.credible, listed))}
-        sharing = [trial for trial in trials if instance_key(_effect(trial)) in keys and not trial.nested]
+        sharing = [trial for trial in trials if instance_key(effect_of(trial)) in keys and not trial.nested]
         if len(sharing) < 2 or not probable.likely:
             return trials
         coarse = [trial for trial in sharing if trial.particles == current.particles]
@@ -398,7 +398,7 @@ class Search:
         self, last: JudgedFit, trials: list[Trial], probable: Explanations, formulas: FormulaCandidates | None
     ) -> Outcome:
         """Return the most probable effect, if some effect is more probable than that none of them is right."""
-        by_key = {instance_key(_effect(trial)): trial for trial in trials}
+        by_key = {instance_key(effect_of(trial)): trial for trial in trials}
         credible = [by_key[instance_key(effect)] for effect in probable.credible]
         if not probable.likely:
             return Outcome(None, None, trials, probable, formulas=formulas)
@@ -426,22 +426,17 @@ def _in_doubt_by_noise(current: Trial, trials: Sequence[Trial], probable: Explan
     noisy = [
         trial
         for trial in trials
-        if instance_key(_effect(trial)) in keys
+        if instance_key(effect_of(trial)) in keys
         and trial.particles == current.particles
         and not trial.nested
         and trial.noise > _LITTLE_NOISE
     ]
-    return sorted(noisy, key=lambda trial: -probable.of(_effect(trial)))[:_MOST_IN_DOUBT]
+    return sorted(noisy, key=lambda trial: -probable.of(effect_of(trial)))[:_MOST_IN_DOUBT]
 
 
 def _leading(trials: Sequence[Trial], probable: Explanations) -> Effect | None:
     """Return the effect with the greatest evidence, if the effects that were tried explain the log."""
-    return _effect(max(trials, key=lambda trial: trial.evidence)) if probable.explained else None
-
-
-def _effect(trial: Trial) -> Effect:
-    assert trial.effect is not None
-    return trial.effect
+    return effect_of(max(trials, key=lambda trial: trial.evidence)) if probable.explained else None
 
 
 def _replaced(trials: list[Trial], old: Sequence[Trial], new: Sequence[Trial]) -> list[Trial]:
