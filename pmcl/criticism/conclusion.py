@@ -22,6 +22,7 @@ from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.when import Acting, acting
 from pmcl.criticism.naming.probability import unknown_without_refits
 from pmcl.criticism.naming.revision import Answer
+from pmcl.criticism.scoring.scores import Direction
 from pmcl.criticism.state import State, Task
 from pmcl.errors import FilterError, SamplingError
 from pmcl.filtering.estimated_path import with_estimates
@@ -67,10 +68,8 @@ def concluded(task: Task, state: State, *, draws: int = 0) -> Criticism:
         for answer, effect, window in zip(state.answers, added, windows, strict=True)
     )
     unexplained = unexplained_of(state.judged, task.search.directions)
-    missing = 1.0 - state.nothing_probability
-    if found:
-        missing = unknown_without_refits(state.judged.judgement, task.search.directions)
-    verdict, lost = verdict_of(found, state.judged.judgement, missing), ""
+    verdict = verdict_of(found, state.judged.judgement, _something_missing(state, task.search.directions))
+    lost = ""
     if task.loss is not None and (task.loss.partial or not found):
         lost = task.loss.what
         verdict, unexplained = UNKNOWN, (task.loss.place, *unexplained)
@@ -96,6 +95,13 @@ def concluded(task: Task, state: State, *, draws: int = 0) -> Criticism:
         settings=settings.recorded(task.split, task.log.fingerprint(), task.other),
         nothing_probability=state.nothing_probability,
     )
+
+
+def _something_missing(state: State, directions: Sequence[Direction]) -> float:
+    """Return the probability that the final model lacks something; beside accepted effects it follows from alarms."""
+    if state.answers:
+        return unknown_without_refits(state.judged.judgement, directions)
+    return 1.0 - state.nothing_probability
 
 
 def _calibrated(task: Task, fit: Fit, draws: int) -> tuple[Posterior | None, tuple[str, ...]]:

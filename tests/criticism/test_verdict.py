@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from oracles.effect_logs import BY_NAME, NAMES, field_log, instance, log_for, sonar_log
 
+from pmcl.criticism.conclusion import _something_missing
 from pmcl.criticism.findings.json_text import effect_entry
 from pmcl.criticism.findings.parts import Alternative, Estimate, FoundEffect, Unexplained
 from pmcl.criticism.findings.verdict import (
@@ -21,6 +22,7 @@ from pmcl.criticism.findings.verdict import (
     verdict_of,
     with_place,
 )
+from pmcl.criticism.scoring.scores import directions_of
 from pmcl.errors import ModelError
 from pmcl.models.effects.effect import Effect
 
@@ -175,3 +177,15 @@ def test_what_nothing_explains_is_told_with_its_place(channel, beams, told_as):
 def test_an_alarm_counts_if_something_missing_is_more_probable_than_chance(found, raised, missing, verdict):
     judgement = SimpleNamespace(raised=("an alarm",) if raised else ())
     assert verdict_of([None] if found else [], judgement, missing) == verdict
+
+
+def test_what_is_missing_follows_from_alarms_only_beside_an_accepted_effect():
+    """Of a model without one, every effect that was tried has a part in the probability of nothing."""
+    directions = directions_of([BY_NAME["odometry-turn-scale"]])
+    judged = SimpleNamespace(judgement=SimpleNamespace(p_value=1e-6))
+    alone = SimpleNamespace(answers=(), judged=judged, nothing_probability=0.7)
+    assert _something_missing(alone, directions) == pytest.approx(0.3)
+    beside = SimpleNamespace(answers=("an answer",), judged=judged, nothing_probability=0.7)
+    assert _something_missing(beside, directions) > 0.99
+    judged.judgement.p_value = 0.1
+    assert _something_missing(beside, directions) < 0.5
