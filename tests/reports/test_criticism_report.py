@@ -65,6 +65,14 @@ def cells(row):
     return re.findall(r"<td[^>]*>(.*?)</td>", row)
 
 
+@pytest.mark.parametrize(("verdict", "by_chance"), [("explained", True), ("unknown effect", False)])
+def test_an_alarm_that_does_not_count_is_said_to_be_chance(found, tmp_path, verdict, by_chance):
+    remains = Unexplained("wheel-slip", (), "", "mean", (math.nan, math.nan), (0, 10), 0.01)
+    write_criticism_report(replace(found, verdict=verdict, unexplained=(remains,)), tmp_path / "page.html")
+    assert ("chance is more probable" in (tmp_path / "page.html").read_text()) == by_chance
+
+
+
 @pytest.mark.slow
 def test_page_looks_right_in_a_browser(found, tmp_path):
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
