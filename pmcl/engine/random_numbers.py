@@ -1,4 +1,4 @@
-"""Many random numbers at once: standard normal and exponential deviates for a whole array.
+"""Many random numbers at once: standard normal, exponential and Student deviates for a whole array.
 
 A call of ``Generator.standard_normal`` from compiled code goes through a function pointer for each number. Here the
 generator is asked twice per array, for the state of a xoroshiro128++ (Blackman and Vigna 2021) that stays in registers,
@@ -17,14 +17,17 @@ import math
 import numpy as np
 
 from pmcl.engine.compile import kernel
-from pmcl.engine.vector_math import bits_of, float_of
+from pmcl.engine.vector_math import bits_of, exp_into, float_of, sincos_into
 
-__all__ = ["exponentials_into", "normals_into"]
+__all__ = ["exponentials_into", "normals_into", "students_into"]
 
 _LAYERS = 256
+# Below this inverse of the degrees of freedom a series in it is more exact than a difference from 1.
+_NEARLY_NORMAL = 1e-8
 # Where the tail begins, so that 255 rectangles and the base strip have one area and the top closes.
 _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
 _STEPS = 2.0**55
+_RADIANS = math.pi / _STEPS
 # The finalizer of SplitMix64 spreads 53 random bits over 64.
 _FIRST, _SECOND, _GOLDEN = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB), np.uint64(0x9E3779B97F4A7C15)
 # By how much xoroshiro128++ turns and shifts.
@@ -144,3 +147,31 @@ def exponentials_into(rng, out, outside):
     for k in range(count):
         i, layer = divmod(bits_of(outside[k]), _LAYERS)
         out[i] = _again_exponential(rng, layer, out[i])
+
+
+@kernel
+def students_into(rng, out, a, work):
+    """Fill `out` (rows, n) with independent deviates of Student's t with 1 / a degrees of freedom, a > 0.
+
+    With an exponential deviate E and a uniform angle, ``sqrt((exp(2 a E) - 1) / a) cos(angle)`` is such a deviate
+    (Bailey 1994, Polar generation of random variates with the t-distribution, Mathematics of Computation 62; for a = 0
+    it is the method of Box and Muller). `work` (3, n) is work space.
+    """
+    angle, sine, cosine = work[0], work[1], work[2]
+    for d in range(out.shape[0]):
+        row = out[d]
+        exponentials_into(rng, row, angle)
+        first, second = _first_state(rng)
+        for i in range(row.size):
+            bits, first, second = _next(first, second)
+            angle[i] = (np.int64(bits) >> 8) * _RADIANS
+        sincos_into(angle, sine, cosine)
+        if a < _NEARLY_NORMAL:
+            for i in range(row.size):
+                row[i] = math.sqrt(2.0 * row[i] * (1.0 + a * row[i])) * cosine[i]
+        else:
+            for i in range(row.size):
+                row[i] *= 2.0 * a
+            exp_into(row, 0.0, angle)
+            for i in range(row.size):
+                row[i] = math.sqrt((angle[i] - 1.0) / a) * cosine[i]

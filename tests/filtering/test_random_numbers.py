@@ -1,4 +1,4 @@
-"""Normal and exponential deviates drawn many at a time: their distribution, tails included, and their independence."""
+"""Normal, exponential and Student deviates drawn many at a time: their distribution, tails included, and their independence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy import stats
 
 from pmcl.engine import random_numbers
 from pmcl.engine.compile import entry
-from pmcl.engine.random_numbers import exponentials_into, normals_into
+from pmcl.engine.random_numbers import exponentials_into, normals_into, students_into
 
 pytestmark = pytest.mark.slow  # compiling kernels that no other test needs takes most of the time
 
@@ -28,6 +28,11 @@ def draw_exponentials(rng, out):
     outside = np.empty(out.shape[1])
     for d in range(out.shape[0]):
         exponentials_into(rng, out[d], outside)
+
+
+@entry
+def draw_students(rng, out, a):
+    students_into(rng, out, a, np.empty((3, out.shape[1])))
 
 
 def draw(kind, rng, shape):
@@ -56,6 +61,20 @@ def test_the_tail_is_right_on_both_sides_of_where_it_is_drawn_otherwise(kind, rn
     both = 2.0 if kind == "normal" else 1.0
     assert stats.binomtest(beyond.size, MANY, both * family.sf(seam)).pvalue > 1e-4
     assert stats.kstest(beyond, lambda x: 1.0 - family.sf(x) / family.sf(seam)).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("a", [0.5, 0.25, 0.01, 1e-7, 1e-9, 1e-14])
+def test_students_have_their_degrees_of_freedom(a, rng):
+    """Also in the tails, and on both sides of where the formula changes; a neighbour of the law is told from it."""
+    out = np.empty((3, MANY // 3))
+    draw_students(rng, out, a)
+    values, law = out.ravel(), stats.t(1.0 / a) if a > 1e-6 else stats.norm
+    assert stats.kstest(values, law.cdf).pvalue > 1e-4
+    far = np.abs(values[np.abs(values) > 3.0])
+    assert stats.kstest(far, lambda x: 1.0 - law.sf(x) / law.sf(3.0)).pvalue > 1e-4
+    assert stats.kstest(values, stats.t(1.0 / (a + 0.01)).cdf).pvalue < 1e-4
+    columns = out[:, : MANY // 6]
+    assert np.abs(np.corrcoef(np.abs(columns))[np.triu_indices(3, 1)]).max() < 6.0 / np.sqrt(columns.shape[1])
 
 
 @pytest.mark.parametrize("kind", ["normal", "exponential"])

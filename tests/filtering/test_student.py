@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pmcl.engine.compile import entry
 from pmcl.engine.student import (
+    LEAST_INVERSE,
     interval_probability,
     log_upper_tail,
+    logs_of_deviations,
     student_constant,
+    student_deviation,
     student_logpdf,
     upper_tail,
 )
@@ -28,6 +32,23 @@ def law(a):
 def test_density(a):
     constant = student_constant(a)
     np.testing.assert_allclose([student_logpdf(x, a, constant) for x in X], law(a).logpdf(X), rtol=1e-7, atol=1e-9)
+
+
+@entry
+def density_of_three(r, a):
+    out, draft = np.empty(r.shape[1]), np.empty(r.shape[1])
+    for i in range(out.size):
+        out[i] = student_deviation(r[0, i], r[1, i], r[2, i], a)
+    logs_of_deviations(out, a, 3.0 * student_constant(a), draft)
+    return out
+
+
+@pytest.mark.parametrize("a", [0.0, LEAST_INVERSE, *(a for a in TAILS if a > LEAST_INVERSE)])
+def test_density_of_three_at_once(a, rng):
+    r = rng.permuted(np.stack([X, X, X]), axis=1)
+    exact = law(a).logpdf(r).sum(axis=0)
+    # Rounding of 1 + a r^2 counts where a is next to nothing.
+    np.testing.assert_allclose(density_of_three(r, a), exact, rtol=1e-7, atol=1e-15 / a if a else 1e-9)
 
 
 @pytest.mark.parametrize("a", TAILS)

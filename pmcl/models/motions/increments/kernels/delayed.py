@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from pmcl.engine.compile import entry
+from pmcl.engine.vector_math import sincos_into
 
 __all__ = ["delayed_increments"]
 
@@ -25,14 +24,15 @@ def delayed_increments(mean, times, delay):
         [s].
     """
     n = mean.shape[0]
-    path = np.zeros((n, 3))
+    x, y, heading, sine, cosine = np.zeros(n), np.zeros(n), np.zeros(n), np.empty(n), np.empty(n)
     for t in range(1, n):
-        c, s = math.cos(path[t - 1, 2]), math.sin(path[t - 1, 2])
-        path[t, 0] = path[t - 1, 0] + c * mean[t, 0] - s * mean[t, 1]
-        path[t, 1] = path[t - 1, 1] + s * mean[t, 0] + c * mean[t, 1]
-        path[t, 2] = path[t - 1, 2] + mean[t, 2]
-    out = np.empty((n - 1, 3))
-    last_x, last_y, last_heading, into = 0.0, 0.0, 0.0, 1
+        heading[t] = heading[t - 1] + mean[t, 2]
+    sincos_into(heading, sine, cosine)
+    for t in range(1, n):
+        c, s = cosine[t - 1], sine[t - 1]
+        x[t] = x[t - 1] + c * mean[t, 0] - s * mean[t, 1]
+        y[t] = y[t - 1] + s * mean[t, 0] + c * mean[t, 1]
+    late_x, late_y, late_heading, into = np.empty(n), np.empty(n), np.empty(n), 1
     for t in range(n):
         when = times[t] - delay
         into = min(max(into, 1), n - 1)
@@ -41,13 +41,15 @@ def delayed_increments(mean, times, delay):
         while into > 1 and times[into - 1] > when:
             into -= 1
         share = min(max((when - times[into - 1]) / (times[into] - times[into - 1]), 0.0), 1.0)
-        c, s = math.cos(path[into - 1, 2]), math.sin(path[into - 1, 2])
+        c, s = cosine[into - 1], sine[into - 1]
         forward, left = share * mean[into, 0], share * mean[into, 1]
-        x, y = path[into - 1, 0] + c * forward - s * left, path[into - 1, 1] + s * forward + c * left
-        if t > 0:
-            c, s = math.cos(last_heading), math.sin(last_heading)
-            out[t - 1, 0] = c * (x - last_x) + s * (y - last_y)
-            out[t - 1, 1] = c * (y - last_y) - s * (x - last_x)
-            out[t - 1, 2] = path[into - 1, 2] + share * mean[into, 2] - last_heading
-        last_x, last_y, last_heading = x, y, path[into - 1, 2] + share * mean[into, 2]
+        late_x[t], late_y[t] = x[into - 1] + c * forward - s * left, y[into - 1] + s * forward + c * left
+        late_heading[t] = heading[into - 1] + share * mean[into, 2]
+    sincos_into(late_heading, sine, cosine)
+    out = np.empty((n - 1, 3))
+    for t in range(1, n):
+        dx, dy, c, s = late_x[t] - late_x[t - 1], late_y[t] - late_y[t - 1], cosine[t - 1], sine[t - 1]
+        out[t - 1, 0] = c * dx + s * dy
+        out[t - 1, 1] = c * dy - s * dx
+        out[t - 1, 2] = late_heading[t] - late_heading[t - 1]
     return out

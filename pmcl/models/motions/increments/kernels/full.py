@@ -16,12 +16,21 @@ from pmcl.engine.contract import (
     state_size,
     transition_logpdf,
 )
-from pmcl.engine.random_numbers import normals_into
+from pmcl.engine.random_numbers import normals_into, students_into
 from pmcl.engine.scalars import HALF_LOG_2PI, log_sum
-from pmcl.engine.student import student_constant, student_logpdf
-from pmcl.engine.vector_math import sincos_into
+from pmcl.engine.student import (
+    LEAST_INVERSE,
+    logs_of_deviations,
+    student_constant,
+    student_deviation,
+    student_logpdf,
+)
+from pmcl.engine.vector_math import exp_into, log_into, sincos_into
 from pmcl.models.motions.increments.kernels.plain import bend, unbend
 from pmcl.models.motions.increments.table import IncrementMotion, MotionExtras, WanderingExtras
+
+# Stands for a log density of minus infinity where two such are subtracted.
+_IMPOSSIBLE = -1e300
 
 
 @state_size.register(IncrementMotion, MotionExtras)
@@ -61,17 +70,21 @@ def _grip(patches, x, y):
 
 
 @kernel
+def _tail(motion):
+    """Return the inverse of the noise's degrees of freedom; zero where nothing tells it from normal noise."""
+    return motion.extras.tail if motion.extras.tail >= LEAST_INVERSE else 0.0
+
+
+@kernel
 def _move(motion, t, rng, previous, current, scratch):
     """Draw the pose; the turn may follow the fourth component of the state before."""
     mean, std, tail = motion.mean, motion.std, motion.extras.tail
-    sine, cosine, noise = scratch[0], scratch[1], scratch[2:5]
+    sine, cosine, noise = scratch[0], scratch[1], scratch[3:6]
     wanders, wander = previous.shape[0] > 3, _memory_of_turn(motion.extras, t)[0]
-    normals_into(rng, noise, sine)
     if tail > 0.0:
-        shape = 0.5 / tail
-        for d in range(3):
-            for i in range(current.shape[1]):
-                noise[d, i] *= math.sqrt(shape / rng.standard_gamma(shape))
+        students_into(rng, noise, tail, scratch[:3])
+    else:
+        normals_into(rng, noise, sine)
     sincos_into(previous[2], sine, cosine)
     for i in range(current.shape[1]):
         grip = _grip(motion.extras.patches, previous[0, i], previous[1, i])
@@ -129,28 +142,49 @@ def _translation_logpdf(motion, t, ahead, aside, grip, constant, log_slip):
 
 @kernel
 def _pose_logpdf(motion, t, previous, current, logp, scratch):
-    sine, cosine = scratch[0], scratch[1]
-    sincos_into(previous[2], sine, cosine)
-    std, constant = motion.std[t, 2], student_constant(motion.extras.tail)
+    n = logp.size
+    sine, cosine, held, slipped, draft = scratch[0, :n], scratch[1, :n], scratch[2, :n], scratch[3, :n], scratch[4, :n]
+    sincos_into(previous[2, :n], sine, cosine)
     wanders, wander = previous.shape[0] > 3, _memory_of_turn(motion.extras, t)[0]
-    plain = motion.extras.tail == 0.0 and motion.extras.slip_weight == 0.0
-    w_forward, w_left, w_turn = 1.0 / motion.std[t, 0], 1.0 / motion.std[t, 1], 1.0 / std
-    log_slip, log_scale = _log_slip(motion), math.log(w_forward * w_left * w_turn)
-    gaussian = log_scale - 3.0 * HALF_LOG_2PI
-    mean_forward, mean_left = motion.mean[t, 0], motion.mean[t, 1]
-    for i in range(logp.size):
+    tail, slip = _tail(motion), motion.extras.slip_weight
+    w_forward, w_left, w_turn = 1.0 / motion.std[t, 0], 1.0 / motion.std[t, 1], 1.0 / motion.std[t, 2]
+    mean_forward, mean_left, mean_turn = motion.mean[t, 0], motion.mean[t, 1], motion.mean[t, 2]
+    constant = 3.0 * student_constant(tail) + math.log(w_forward * w_left * w_turn)
+    for i in range(n):
         dx, dy = current[0] - previous[0, i], current[1] - previous[1, i]
         ahead, aside = dx * cosine[i] + dy * sine[i], dy * cosine[i] - dx * sine[i]
-        turn = current[2] - previous[2, i] - motion.mean[t, 2]
+        turn = current[2] - previous[2, i] - mean_turn
         if wanders:
             turn -= wander * previous[3, i]
         grip = _grip(motion.extras.patches, previous[0, i], previous[1, i])
-        if plain:
-            f, g, h = (ahead - grip * mean_forward) * w_forward, (aside - grip * mean_left) * w_left, turn * w_turn
-            logp[i] += gaussian - 0.5 * (f * f + g * g + h * h)
-        else:
-            logp[i] += _translation_logpdf(motion, t, ahead, aside, grip, constant, log_slip) + log_scale
-            logp[i] += student_logpdf(turn * w_turn, motion.extras.tail, constant)
+        f, g, h = (ahead - grip * mean_forward) * w_forward, (aside - grip * mean_left) * w_left, turn * w_turn
+        held[i] = student_deviation(f, g, h, tail)
+        if slip > 0.0:
+            grip *= 1.0 - motion.extras.slip_share
+            f, g = (ahead - grip * mean_forward) * w_forward, (aside - grip * mean_left) * w_left
+            slipped[i] = student_deviation(f, g, h, tail)
+    logs_of_deviations(held, tail, constant, draft)
+    if slip > 0.0:
+        logs_of_deviations(slipped, tail, constant, draft)
+        _mix_slips(held, slipped, _log_slip(motion), draft)
+    for i in range(n):
+        logp[i] += held[i]
+
+
+@kernel
+def _mix_slips(held, slipped, log_slip, draft):
+    """Replace `held` by the log density of a step that may slip; `slipped` is lost."""
+    for i in range(held.size):
+        kept, added = held[i] + log_slip[1], slipped[i] + log_slip[0]
+        high = max(kept, added)
+        held[i] = high if high > -math.inf else _IMPOSSIBLE
+        slipped[i] = min(kept, added) - held[i]
+    exp_into(slipped, 0.0, draft)
+    for i in range(held.size):
+        draft[i] += 1.0
+    log_into(draft, slipped)
+    for i in range(held.size):
+        held[i] += slipped[i]
 
 
 @transition_logpdf.register(IncrementMotion, MotionExtras)
@@ -273,7 +307,7 @@ def _linearise_wandering(motion, t, before, after, jacobian, offset, precision):
 
 @scratch_rows.register(IncrementMotion, MotionExtras, WanderingExtras)
 def _rows(table):
-    return 5
+    return 6
 
 
 @state_of_deviation.register(IncrementMotion, MotionExtras, WanderingExtras)

@@ -15,7 +15,7 @@ from pmcl.engine.compile import kernel
 from pmcl.engine.linear_readings import BEARING, RANGE, SIZE
 from pmcl.engine.scalars import wrap_angle
 from pmcl.geometry import wrap
-from pmcl.models.sensors.landmarks.kernels.rows import AHEAD, ASIDE, DISTANCE
+from pmcl.models.sensors.landmarks.kernels.rows import AHEAD, ANGLE, ASIDE, DISTANCE
 from pmcl.models.sensors.landmarks.linearisation import relative_positions
 from pmcl.models.sensors.landmarks.table import LandmarkSightings, extras_of
 
@@ -80,8 +80,9 @@ def given_last(sensor, kind, last, residual, std, before, i):
     `before` holds where the landmark lay from the state before, column `i`.
     """
     j = sensor.landmark[last]
-    ahead, aside, distance = before[AHEAD, i], before[ASIDE, i], before[DISTANCE, i]
-    error, spread = residual_and_std(sensor, kind, last, j, ahead, aside, distance, math.atan2(aside, ahead))
+    error, spread = residual_and_std(
+        sensor, kind, last, j, before[AHEAD, i], before[ASIDE, i], before[DISTANCE, i], before[ANGLE, i]
+    )
     correlation = correlation_of(sensor, kind, j)
     # What was not measured is NaN, and as unrelated as a gross error.
     if not abs(error) < RELATED * spread:

@@ -19,12 +19,26 @@ from pmcl.engine.contract import (
     scratch_rows,
 )
 from pmcl.engine.linear_readings import BEARING, RANGE, add_information
-from pmcl.engine.scalars import log_sum, wrap_angle
+from pmcl.engine.scalars import wrap_angle
 from pmcl.engine.vector_math import any_nonzero, exp_into, log_into
 from pmcl.models.sensors.landmarks.kernels.channels import NEAREST, correlation_of, last_sighting, reading_of
 from pmcl.models.sensors.landmarks.kernels.identities import identity_weight, log_gross_density, may_be_misread
-from pmcl.models.sensors.landmarks.kernels.rows import BEFORE, DRAFT, OTHERS, POSE_BEFORE, ROWS, TARGET
-from pmcl.models.sensors.landmarks.kernels.sightings import add_memory, add_sighting, sighting_logpdf
+from pmcl.models.sensors.landmarks.kernels.rows import (
+    BEFORE,
+    DRAFT,
+    OTHERS,
+    POSE_BEFORE,
+    POSE_NOW,
+    ROWS,
+    TARGET,
+    WEIGHT,
+)
+from pmcl.models.sensors.landmarks.kernels.sightings import (
+    add_memories,
+    add_memory,
+    add_sighting,
+    sightings_into,
+)
 from pmcl.models.sensors.landmarks.kernels.sightlines import place_sensor
 from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
 
@@ -104,12 +118,12 @@ def _mix_gross_error(sensor, k, n, scratch, target):
 @reading_logpdf.register(LandmarkSightings, LandmarkExtras)
 def _reading_logpdf(sensor, t, previous, current, logp, scratch):
     n, placed_before = logp.size, False
-    place_sensor(sensor, t, 0, True, previous, current, scratch)
+    place_sensor(sensor, sensor.extras.lag[t:], 0, n, previous, current, scratch)
     for k in range(sensor.first[t], sensor.first[t + 1]):
         j = sensor.landmark[k]
         last = last_sighting(sensor, t, j)
         if last >= 0 and not placed_before:
-            place_sensor(sensor, t, 0, False, previous, previous, scratch[BEFORE:])
+            place_sensor(sensor, sensor.extras.lag[t:], 0, n, previous, previous, scratch[BEFORE:])
             placed_before = True
         misread, gross = may_be_misread(sensor, j), sensor.outlier_weight[j] > 0.0
         target = scratch[TARGET] if misread or gross else logp
@@ -128,28 +142,72 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
                 logp[i] += target[i]
 
 
+@kernel
+def _mix_at(target, other, weight, n, draft):
+    """Replace `target` by log((1 - w) exp(target) + w exp(other)), with a share w of each column; `other` is lost."""
+    for i in range(n):
+        high = max(target[i], other[i], _IMPOSSIBLE)
+        target[i] -= high
+        draft[i] = other[i] - high
+        other[i] = high
+    exp_into(target[:n], 0.0, target[:n])
+    exp_into(draft[:n], 0.0, draft[:n])
+    for i in range(n):
+        draft[i] = (1.0 - weight[i]) * target[i] + weight[i] * draft[i]
+    log_into(draft[:n], draft[:n])
+    for i in range(n):
+        target[i] = other[i] + draft[i]
+
+
+@kernel
+def _mix_misread(sensor, first, n, scratch, target):
+    """Mix in that each sighting may be of any other landmark, all alike."""
+    others, weight, draft, count = scratch[OTHERS], scratch[WEIGHT], scratch[DRAFT], sensor.position.shape[0]
+    sum_of_others = scratch[POSE_NOW]  # the states have served
+    for onward in range(1, count):
+        sightings_into(sensor, first, onward, n, scratch, others)
+        for i in range(n):
+            sum_of_others[i] = others[i] if onward == 1 else sum_of_others[i]
+            # The share of this one among those so far.
+            weight[i] = 1.0 / onward
+        if onward > 1:
+            _mix_at(sum_of_others, others, weight, n, draft)
+    for i in range(n):
+        weight[i] = sensor.extras.misread_weight[sensor.landmark[first + i]]
+    _mix_at(target, sum_of_others, weight, n, draft)
+
+
 @path_reading_logpdf.register(LandmarkSightings, LandmarkExtras)
 def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
-    previous = scratch[POSE_BEFORE : POSE_BEFORE + 3]
-    for d in range(3):
-        for t in range(n_steps):
-            previous[d, t] = path[d, max(t - 1, 0)]
-    place_sensor(sensor, 0, 1, True, previous, path, scratch)
-    if _errors_last(sensor):
-        place_sensor(sensor, 0, 1, False, previous, previous, scratch[BEFORE:])
-    for k in range(sensor.first[n_steps]):
-        t, named = sensor.time[k], sensor.landmark[k]
-        value = sighting_logpdf(sensor, k, named, last_sighting(sensor, t, named), t, scratch)
-        if may_be_misread(sensor, named):
-            value += _log(identity_weight(sensor, named, named))
-            for j in range(sensor.position.shape[0]):
-                if j != named:
-                    log_weight = math.log(identity_weight(sensor, named, j))
-                    value = log_sum(value, sighting_logpdf(sensor, k, j, -1, t, scratch) + log_weight)
-        gross = sensor.outlier_weight[named]
-        if gross > 0.0:
-            value = log_sum(value + _log(1.0 - gross), log_gross_density(sensor, k, named) + math.log(gross))
-        logp[t] += value
+    """Add the log densities of all sightings: each has a column, as many at once as there are columns."""
+    count, columns = sensor.first[n_steps], scratch.shape[1]
+    now, before = scratch[POSE_NOW:], scratch[POSE_BEFORE:]
+    target, others, weight, draft = scratch[TARGET], scratch[OTHERS], scratch[WEIGHT], scratch[DRAFT]
+    misread = any_nonzero(sensor.extras.misread_weight) and sensor.position.shape[0] > 1
+    gross, errors_last = any_nonzero(sensor.outlier_weight), _errors_last(sensor)
+    for first in range(0, count, columns):
+        n = min(columns, count - first)
+        for d in range(3):
+            for i in range(n):
+                t = sensor.time[first + i]
+                now[d, i], before[d, i] = path[d, t], path[d, max(t - 1, 0)]
+        for i in range(n):
+            draft[i] = sensor.extras.lag[sensor.time[first + i]]
+        place_sensor(sensor, draft, 1, n, before, now, scratch)
+        sightings_into(sensor, first, 0, n, scratch, target)
+        if errors_last:
+            place_sensor(sensor, sensor.extras.lag, 0, n, before, before, scratch[BEFORE:])
+            add_memories(sensor, first, n, scratch, target)
+        if misread:
+            _mix_misread(sensor, first, n, scratch, target)
+        if gross:
+            for i in range(n):
+                named = sensor.landmark[first + i]
+                weight[i] = sensor.outlier_weight[named]
+                others[i] = log_gross_density(sensor, first + i, named)
+            _mix_at(target, others, weight, n, draft)
+        for i in range(n):
+            logp[sensor.time[first + i]] += target[i]
 
 
 @linear_information.register(LandmarkSightings, LandmarkExtras)

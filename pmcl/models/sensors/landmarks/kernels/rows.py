@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = [
     "AHEAD", "ANGLE", "ASIDE", "BEFORE", "BELOW", "COSINE", "DISTANCE", "DRAFT", "OTHERS", "POSE", "POSE_BEFORE",
-    "ROWS", "SHARE", "SINE", "TARGET",
+    "POSE_NOW", "ROWS", "SHARE", "SINE", "TARGET", "WEIGHT",
 ]  # fmt: skip
 
 # Three rows: the pose of the sensor when each column was read; then sine and cosine of the direction it looks in.
@@ -15,9 +15,9 @@ AHEAD, ASIDE, DISTANCE, ANGLE = 5, 6, 7, 8
 TARGET, OTHERS, DRAFT = 9, 10, 11
 # From here on, the rows POSE to ANGLE again, of the states one row earlier.
 BEFORE = 12
-# Three rows: the poses one row earlier, along a path.
-POSE_BEFORE = 21
+# Along a path, of the state of each sighting and the one before: three rows each. Then a share of a mixture.
+POSE_BEFORE, POSE_NOW, WEIGHT = 21, 24, 27
 # In their place, of single readings: the probability of a component of the mixture with the readings before, and that
 # of a smaller reading.
 SHARE, BELOW = 21, 22
-ROWS = 24
+ROWS = 28

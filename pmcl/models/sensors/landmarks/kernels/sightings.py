@@ -1,4 +1,4 @@
-"""The log density of one sighting, were it of a given landmark: in many columns at once, or in one."""
+"""The log density of a sighting, were it of a given landmark: of one from many states, or of many along a path."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from pmcl.models.sensors.landmarks.kernels.channels import (
     RELATED,
     correlation_of,
     given_last,
+    last_sighting,
     reading_of,
     residual_and_std,
 )
 from pmcl.models.sensors.landmarks.kernels.rows import AHEAD, ANGLE, ASIDE, BEFORE, DISTANCE, DRAFT
-from pmcl.models.sensors.landmarks.kernels.sightlines import locate, locate_from
+from pmcl.models.sensors.landmarks.kernels.sightlines import locate, locate_named
 
-__all__ = ["add_memory", "add_sighting", "sighting_logpdf"]
+__all__ = ["add_memories", "add_memory", "add_sighting", "sightings_into"]
 
 
 @kernel
@@ -92,22 +93,53 @@ def add_memory(sensor, k, last, n, scratch, target):
             target[i] += change if abs(error) < RELATED * spread else 0.0
 
 
+
 @kernel
-def sighting_logpdf(sensor, k, j, last, i, scratch):
-    """Return the log density of sighting k, were it of landmark j, from column `i`, given sighting `last` of j."""
-    ahead, aside, distance = locate_from(sensor, j, i, scratch)
-    angle = 0.0 if math.isnan(sensor.bearing[k]) else math.atan2(aside, ahead)
+def sightings_into(sensor, first, onward, n, scratch, target):
+    """Write the log densities of the sightings first ... first + n - 1, a column each, without memory.
+
+    Sighting k counts as one of the landmark `onward` after the one that it names.
+    """
+    ahead, aside, distance, angle = scratch[AHEAD], scratch[ASIDE], scratch[DISTANCE], scratch[ANGLE]
+    spread, count = scratch[DRAFT], sensor.position.shape[0]
+    locate_named(sensor, first, onward, n, scratch)
+    atan2_into(aside[:n], ahead[:n], angle[:n])
+    for i in range(n):
+        k = first + i
+        j = sensor.landmark[k] + onward
+        j -= count if j >= count else 0
+        # One logarithm serves all readings of a sighting.
+        value, stds = 0.0, 1.0
+        for kind in range(3):
+            if not math.isnan(reading_of(sensor, kind, k)):
+                residual, std = residual_and_std(sensor, kind, k, j, ahead[i], aside[i], distance[i], angle[i])
+                r = residual / std
+                value -= 0.5 * r * r + HALF_LOG_2PI
+                stds *= std
+        target[i], spread[i] = value, stds
+    log_into(spread[:n], spread[:n])
+    for i in range(n):
+        target[i] -= spread[i]
+
+
+@kernel
+def add_memories(sensor, first, n, scratch, target):
+    """Make the log densities of sightings, just written to `target`, those given the row before."""
     before = scratch[BEFORE:]
-    if last >= 0:
-        before[AHEAD, i], before[ASIDE, i], before[DISTANCE, i] = locate_from(sensor, j, i, before)
-    value, spread = 0.0, 1.0
-    for kind in range(3):
-        if math.isnan(reading_of(sensor, kind, k)):
+    locate_named(sensor, first, 0, n, before)
+    atan2_into(before[ASIDE, :n], before[AHEAD, :n], before[ANGLE, :n])
+    for i in range(n):
+        k = first + i
+        j = sensor.landmark[k]
+        last = last_sighting(sensor, sensor.time[k], j)
+        if last < 0:
             continue
-        residual, std = residual_and_std(sensor, kind, k, j, ahead, aside, distance, angle)
-        if last >= 0:
-            residual, std = given_last(sensor, kind, last, residual, std, before, i)
-        value -= 0.5 * (residual / std) ** 2 + HALF_LOG_2PI
-        # One logarithm serves all readings of the sighting.
-        spread *= std
-    return value - math.log(spread)
+        for kind in range(SIZE):
+            if correlation_of(sensor, kind, j) == 0.0 or math.isnan(reading_of(sensor, kind, k)):
+                continue
+            residual, std = residual_and_std(
+                sensor, kind, k, j, scratch[AHEAD, i], scratch[ASIDE, i], scratch[DISTANCE, i], scratch[ANGLE, i]
+            )
+            given, narrower = given_last(sensor, kind, last, residual, std, before, i)
+            alone, related = residual / std, given / narrower
+            target[i] += 0.5 * (alone * alone - related * related) - math.log(narrower / std)

@@ -80,11 +80,12 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
         return False
     named, n, n_landmarks = sensor.landmark[k], logp.size, sensor.position.shape[0]
     gross = sensor.outlier_weight[named]
-    place_sensor(sensor, t, 0, True, previous, current, scratch)
+    place_sensor(sensor, sensor.extras.lag[t:], 0, logp.size, previous, current, scratch)
     last, states_before = last_sighting(sensor, t, named), scratch[BEFORE:]
     if last >= 0:
-        place_sensor(sensor, t, 0, False, previous, previous, states_before)
+        place_sensor(sensor, sensor.extras.lag[t:], 0, logp.size, previous, previous, states_before)
         locate(sensor, named, n, states_before)
+        atan2_into(states_before[ASIDE], states_before[AHEAD], states_before[ANGLE])
     if gross == 0.0 and not may_be_misread(sensor, named):
         _certain_reading(sensor, kind, k, last, logp, low, high, scratch)
         return True
