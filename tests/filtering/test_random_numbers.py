@@ -1,4 +1,4 @@
-"""Normal, exponential and Student deviates drawn many at a time: their distribution, tails included, and their independence."""
+"""Normal, exponential and Student deviates drawn many at a time: distribution, tails included, and independence."""
 
 from __future__ import annotations
 
