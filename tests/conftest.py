@@ -9,8 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from pmcl import registry
+
+# How long an example takes says how busy the machine is, and nothing about the code.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 # Tests already run on all processors; no test gets a second process that compiles for it, unless it asks.
 os.environ.setdefault("PMCL_COMPILE_AHEAD", "0")

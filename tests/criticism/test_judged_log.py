@@ -10,6 +10,7 @@ import pytest
 from pmcl.criticism.judging import judged_log
 from pmcl.criticism.scoring.simulated_logs import Replica
 from pmcl.criticism.settings import Settings
+from pmcl.errors import FilterError
 
 # mypy: disable-error-code="no-untyped-def"
 
@@ -54,3 +55,17 @@ def test_logs_are_simulated_until_an_alarm_is_beyond_doubt_or_none(monkeypatch, 
     assert asked == list(p_values)
     assert last.judgement.p_value == list(p_values.values())[-1]
     assert len(set(seeds)) == len(seeds) == 1 + asked[-1]
+
+
+def test_a_judgement_stands_where_further_logs_lose_the_robot(monkeypatch):
+    def with_further(before, log, fit, directions, count, settings):
+        if count > 60:
+            raise FilterError("the filter loses the robot of one log after another", row=3)
+        return SimpleNamespace(judgement=judgement, simulated=range(count))
+
+    judgement = SimpleNamespace(p_value=1e-3, raised=("alarm",))
+    monkeypatch.setattr(judged_log, "_with_further", with_further)
+    before = SimpleNamespace(judgement=judgement, simulated=range(14))
+    last = judged_log.with_more_simulations(before, "log", SimpleNamespace(theta=np.zeros(4)), (), SETTINGS)
+    assert last.judgement is judgement
+    assert len(last.simulated) == 60

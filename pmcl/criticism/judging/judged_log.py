@@ -110,7 +110,8 @@ def with_more_simulations(
     """Judge a log again with all simulated logs, and with up to three times as many.
 
     A log whose alarm is in doubt is judged again in this way, and the last judgement counts. Further logs are simulated
-    as long as the alarm is in doubt. This can only lower the rate of false alarms.
+    as long as the alarm is in doubt. This can only lower the rate of false alarms. Where the filter loses the robot of
+    one further log after another, the judgement by those before stands.
 
     Parameters
     ----------
@@ -127,7 +128,11 @@ def with_more_simulations(
             f"p = {before.judgement.p_value:.1e}: simulating {counts[0] - there_are} more logs, or more, to be sure"
         )
     for number in counts:
-        judged = _with_further(judged, log, fit, directions, number, settings)
+        try:
+            judged = _with_further(judged, log, fit, directions, number, settings)
+        except FilterError:
+            # The logs that there are have been enough for a first judgement, and it stands.
+            break
         if not in_doubt(judged.judgement):
             break
     return judged
