@@ -17,8 +17,8 @@ from numba.extending import intrinsic
 from pmcl.engine.compile import kernel
 
 __all__ = [
-    "any_nonzero", "atan2_into", "bits_of", "exp_into", "extremes", "float_of", "log_into", "maximum", "sincos_into",
-    "total", "upper_tail_into",
+    "IMPOSSIBLE", "any_nonzero", "atan2_into", "bits_of", "exp_into", "extremes", "float_of", "log_into", "maximum",
+    "mix_into", "sincos_into", "total", "upper_tail_into",
 ]  # fmt: skip
 
 # Adding and subtracting 1.5 * 2^52 rounds to the nearest integer and leaves it in the low bits of the mantissa.
@@ -38,6 +38,9 @@ _TAIL_MIDDLE = 3.75
 # The ordered bits of minus and plus infinity.
 _GREATEST = 2047 << 52
 _LEAST = _ALL_BUT_SIGN ^ -(1 << 52)
+
+IMPOSSIBLE = -1e300
+"""Stands for a log density of minus infinity where two such are subtracted."""
 
 
 @intrinsic
@@ -119,6 +122,22 @@ def log_into(x, out):
         value = e * _LN2_HIGH + (e * _LN2_LOW + (s * q * p + 2.0 * s))
         value = value if x[i] >= 2.2250738585072014e-308 else (-np.inf if x[i] >= 0.0 else np.nan)
         out[i] = value if x[i] < np.inf else x[i]
+
+
+@kernel
+def mix_into(target, other, log_weight, log_rest, draft):
+    """Replace `target` by log((1 - w) exp(target) + w exp(other)), given log w and log(1 - w); `other` is lost."""
+    for i in range(target.size):
+        kept, added = target[i] + log_rest, other[i] + log_weight
+        high = max(kept, added)
+        target[i] = high if high > -math.inf else IMPOSSIBLE
+        other[i] = min(kept, added) - target[i]
+    exp_into(other, 0.0, draft)
+    for i in range(target.size):
+        draft[i] += 1.0
+    log_into(draft, other)
+    for i in range(target.size):
+        target[i] += other[i]
 
 
 @kernel

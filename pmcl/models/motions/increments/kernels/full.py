@@ -25,12 +25,9 @@ from pmcl.engine.student import (
     student_deviation,
     student_logpdf,
 )
-from pmcl.engine.vector_math import exp_into, log_into, sincos_into
+from pmcl.engine.vector_math import mix_into, sincos_into
 from pmcl.models.motions.increments.kernels.plain import bend, unbend
 from pmcl.models.motions.increments.table import IncrementMotion, MotionExtras, WanderingExtras
-
-# Stands for a log density of minus infinity where two such are subtracted.
-_IMPOSSIBLE = -1e300
 
 
 @state_size.register(IncrementMotion, MotionExtras)
@@ -166,25 +163,10 @@ def _pose_logpdf(motion, t, previous, current, logp, scratch):
     logs_of_deviations(held, tail, constant, draft)
     if slip > 0.0:
         logs_of_deviations(slipped, tail, constant, draft)
-        _mix_slips(held, slipped, _log_slip(motion), draft)
+        log_slip = _log_slip(motion)
+        mix_into(held, slipped, log_slip[0], log_slip[1], draft)
     for i in range(n):
         logp[i] += held[i]
-
-
-@kernel
-def _mix_slips(held, slipped, log_slip, draft):
-    """Replace `held` by the log density of a step that may slip; `slipped` is lost."""
-    for i in range(held.size):
-        kept, added = held[i] + log_slip[1], slipped[i] + log_slip[0]
-        high = max(kept, added)
-        held[i] = high if high > -math.inf else _IMPOSSIBLE
-        slipped[i] = min(kept, added) - held[i]
-    exp_into(slipped, 0.0, draft)
-    for i in range(held.size):
-        draft[i] += 1.0
-    log_into(draft, slipped)
-    for i in range(held.size):
-        held[i] += slipped[i]
 
 
 @transition_logpdf.register(IncrementMotion, MotionExtras)

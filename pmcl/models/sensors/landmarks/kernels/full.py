@@ -20,7 +20,7 @@ from pmcl.engine.contract import (
 )
 from pmcl.engine.linear_readings import BEARING, RANGE, add_information
 from pmcl.engine.scalars import wrap_angle
-from pmcl.engine.vector_math import any_nonzero, exp_into, log_into
+from pmcl.engine.vector_math import IMPOSSIBLE, any_nonzero, exp_into, log_into, mix_into
 from pmcl.models.sensors.landmarks.kernels.channels import NEAREST, correlation_of, last_sighting, reading_of
 from pmcl.models.sensors.landmarks.kernels.identities import identity_weight, log_gross_density, may_be_misread
 from pmcl.models.sensors.landmarks.kernels.rows import (
@@ -41,9 +41,6 @@ from pmcl.models.sensors.landmarks.kernels.sightings import (
 )
 from pmcl.models.sensors.landmarks.kernels.sightlines import place_sensor
 from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
-
-# Stands for a log density of minus infinity where two such are subtracted.
-_IMPOSSIBLE = -1e300
 
 
 @scratch_rows.register(LandmarkSightings, LandmarkExtras)
@@ -67,22 +64,6 @@ def _has_reading(sensor, t):
 
 
 @kernel
-def _mix_into(target, other, log_weight, log_rest, n, draft):
-    """Replace `target` by log((1 - w) exp(target) + w exp(other)), given log w and log(1 - w); `other` is lost."""
-    for i in range(n):
-        kept, added = target[i] + log_rest, other[i] + log_weight
-        high = max(kept, added)
-        target[i] = high if high > -math.inf else _IMPOSSIBLE
-        other[i] = min(kept, added) - target[i]
-    exp_into(other, 0.0, draft)
-    for i in range(n):
-        draft[i] += 1.0
-    log_into(draft, other)
-    for i in range(n):
-        target[i] += other[i]
-
-
-@kernel
 def _log(x):
     return math.log(x) if x > 0.0 else -math.inf
 
@@ -101,7 +82,7 @@ def _mix_other_landmarks(sensor, k, n, scratch, target):
         add_sighting(sensor, k, j, n, scratch, others)
         weight = identity_weight(sensor, named, j)
         share = weight / (total + weight)
-        _mix_into(target, others, math.log(share), _log(1.0 - share), n, draft)
+        mix_into(target, others, math.log(share), _log(1.0 - share), draft)
         total += weight
 
 
@@ -112,7 +93,7 @@ def _mix_gross_error(sensor, k, n, scratch, target):
     weight, log_density = sensor.outlier_weight[named], log_gross_density(sensor, k, named)
     for i in range(n):
         others[i] = log_density
-    _mix_into(target, others, math.log(weight), _log(1.0 - weight), n, scratch[DRAFT])
+    mix_into(target, others, math.log(weight), _log(1.0 - weight), scratch[DRAFT])
 
 
 @reading_logpdf.register(LandmarkSightings, LandmarkExtras)
@@ -146,7 +127,7 @@ def _reading_logpdf(sensor, t, previous, current, logp, scratch):
 def _mix_at(target, other, weight, n, draft):
     """Replace `target` by log((1 - w) exp(target) + w exp(other)), with a share w of each column; `other` is lost."""
     for i in range(n):
-        high = max(target[i], other[i], _IMPOSSIBLE)
+        high = max(target[i], other[i], IMPOSSIBLE)
         target[i] -= high
         draft[i] = other[i] - high
         other[i] = high
@@ -163,18 +144,16 @@ def _mix_at(target, other, weight, n, draft):
 def _mix_misread(sensor, first, n, scratch, target):
     """Mix in that each sighting may be of any other landmark, all alike."""
     others, weight, draft, count = scratch[OTHERS], scratch[WEIGHT], scratch[DRAFT], sensor.position.shape[0]
-    sum_of_others = scratch[POSE_NOW]  # the states have served
-    for onward in range(1, count):
+    mean = scratch[POSE_NOW]  # the states have served
+    sightings_into(sensor, first, 1, n, scratch, mean)
+    for onward in range(2, count):
         sightings_into(sensor, first, onward, n, scratch, others)
         for i in range(n):
-            sum_of_others[i] = others[i] if onward == 1 else sum_of_others[i]
-            # The share of this one among those so far.
             weight[i] = 1.0 / onward
-        if onward > 1:
-            _mix_at(sum_of_others, others, weight, n, draft)
+        _mix_at(mean, others, weight, n, draft)
     for i in range(n):
         weight[i] = sensor.extras.misread_weight[sensor.landmark[first + i]]
-    _mix_at(target, sum_of_others, weight, n, draft)
+    _mix_at(target, mean, weight, n, draft)
 
 
 @path_reading_logpdf.register(LandmarkSightings, LandmarkExtras)

@@ -93,7 +93,6 @@ def add_memory(sensor, k, last, n, scratch, target):
             target[i] += change if abs(error) < RELATED * spread else 0.0
 
 
-
 @kernel
 def sightings_into(sensor, first, onward, n, scratch, target):
     """Write the log densities of the sightings first ... first + n - 1, a column each, without memory.

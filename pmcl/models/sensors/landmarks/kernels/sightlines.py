@@ -46,7 +46,6 @@ def locate(sensor, j, n, scratch):
         distance[i] = math.sqrt(ahead[i] * ahead[i] + aside[i] * aside[i])
 
 
-
 @kernel
 def locate_named(sensor, first, onward, n, scratch):
     """Do the same with column i belonging to sighting ``first + i``, of the landmark `onward` after the one it names.
