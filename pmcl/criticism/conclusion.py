@@ -29,6 +29,7 @@ from pmcl.filtering.estimated_path import with_estimates
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.formula import path_formulas, portable
+from pmcl.posterior import diagnostics
 from pmcl.posterior.compat import Posterior
 from pmcl.streams import stream_seed
 
@@ -105,18 +106,23 @@ def _something_missing(state: State, directions: Sequence[Direction]) -> float:
 
 
 def _calibrated(task: Task, fit: Fit, draws: int) -> tuple[Posterior | None, tuple[str, ...]]:
-    """Run full chains of the final model; return None, with a note why, if they lose the robot."""
+    """Run full chains of the final model; return None, with a note why, if they lose the robot.
+
+    A note also tells if they have not converged: intervals of such a posterior cannot be relied on.
+    """
     settings = task.search.settings
     settings.tell("calibrating the final model by full chains")
     reporter = settings.reporter
     try:
         with reporter.paused():
-            return calibrate(
+            posterior = calibrate(
                 task.log, fit.bound.model, draws=draws, method=ParticleGibbs(metropolis_steps=_METROPOLIS_STEPS),
                 seed=settings.seed, progress=reporter.live,
-            ), ()  # fmt: skip
+            )  # fmt: skip
     except (FilterError, SamplingError) as error:
         return None, (f"there is no posterior by full chains: {error}",)
+    judged = diagnostics.verdict(posterior)
+    return posterior, () if judged.converged else (f"full chains of the final model: {judged.message}",)
 
 
 def _windows(task: Task, fit: Fit, added: Sequence[Effect]) -> list[Acting | None]:
