@@ -189,7 +189,8 @@ class Loop:
     def _with_recovery(self, state: State, recovery: Recovery) -> State:
         trial, trials, twins = recovery
         found = found_effect(trial, twins, state.judged.judgement, self.search.directions)
-        return self._added(state, trial, trials, Answer(found), f"add {found.name}: with it the filter follows")
+        answer = Answer(found, (trial, *twins))
+        return self._added(state, trial, trials, answer, f"add {found.name}: with it the filter follows")
 
     def _nothing_is(self, state: State, probability: float) -> State:
         """Set the probability that the base model lacks nothing, as long as it is the base model that is judged."""

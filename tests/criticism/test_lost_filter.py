@@ -9,10 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pmcl.criticism import loop
 from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of
 from pmcl.criticism.loop import Loop
 from pmcl.criticism.lost_filter import LEAST_ROWS, Runs
 from pmcl.criticism.naming import gross_errors
+from pmcl.criticism.naming.lost_robot import Recovery
 from pmcl.criticism.naming.revision import Answer
 from pmcl.criticism.naming.search import Search
 from pmcl.criticism.settings import Settings
@@ -183,6 +185,17 @@ def test_gross_errors_are_dropped_where_the_filter_follows_without_and_nothing_i
     # Without anything found there is nothing that could have replaced them.
     nothing = replace(before, answers=())
     assert Loop(task, rounds=3)._without_gross_errors(nothing, loss) is nothing
+
+
+def test_near_twins_with_which_the_filter_follows_belong_to_the_answer(monkeypatch, log):
+    """The drive that would tell them apart is simulated under each of them."""
+    task = Task(default_model(log), Search(log, (), SETTINGS))
+    first, twin = SimpleNamespace(), SimpleNamespace()
+    monkeypatch.setattr(loop, "found_effect", lambda trial, twins, *_: SimpleNamespace(name="sensor-yaw"))
+    monkeypatch.setattr(Loop, "_added", lambda self, state, accepted, trials, answer, decision: answer)
+    state = State(SimpleNamespace(judgement=None), None)
+    answer = Loop(task, rounds=3)._with_recovery(state, Recovery(first, [first, twin], [twin]))
+    assert answer.credible == (first, twin)
 
 
 def test_a_lost_robot_is_part_of_the_sentence(log):
