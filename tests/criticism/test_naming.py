@@ -15,9 +15,11 @@ from pmcl.criticism.fitting import trials
 from pmcl.criticism.fitting.held_out import RowScores, noise_of_rows
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
-from pmcl.criticism.naming.candidates import RankedEffect, by_score, in_order, of_carrier, of_sensors, twins_of, untried
+from pmcl.criticism.naming.candidates import RankedEffect, in_order, of_carrier, of_sensors, twins_of, untried
+from pmcl.criticism.naming.promises import promises, with_bounds
 from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome
+from pmcl.criticism.scoring.lower_bounds import LowerBound
 from pmcl.criticism.scoring.scores import directions_of, instance_key
 from pmcl.filtering.one_step_ahead import pooled_increments
 from pmcl.filtering.paired_scores import Gain
@@ -30,11 +32,16 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 # mypy: disable-error-code="no-untyped-def"
 
 
+def unbounded(directions):
+    """Bounds that say nothing."""
+    return [LowerBound(-np.inf, one.above) for one in directions]
+
+
 def ordered(log, promised=None):
     """All candidates of a log, by what they promise."""
     directions = directions_of(candidates(log))
     promised = np.zeros(len(directions)) if promised is None else np.array([promised(one) for one in directions])
-    return in_order(directions, promised, promised)
+    return in_order(directions, with_bounds(promised, promised, unbounded(directions)))
 
 
 def test_twins_are_refitted_without_a_score_of_their_own():
@@ -87,7 +94,7 @@ def test_a_one_sided_candidate_is_ranked_by_how_far_it_is_above_simulated_logs()
     assert directions[grows].one_sided
     z[grows], score[grows] = 4.5, -60.0
     judgement = SimpleNamespace(z=z, score=score, score_std=np.ones(len(names)))
-    first = by_score(directions, judgement)[0]
+    first = in_order(directions, promises(directions, judgement, unbounded(directions)))[0]
     assert first.effect.name == "range-noise-grows-with-range"
     assert first.z == 4.5
 

@@ -17,6 +17,7 @@ from pmcl.criticism.naming.formula_trials import FormulaCandidates
 from pmcl.criticism.naming.probability import Explanations
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.naming.search import Search
+from pmcl.criticism.scoring.lower_bounds import LowerBound
 from pmcl.criticism.scoring.scores import directions_of
 from pmcl.criticism.settings import Settings
 from pmcl.errors import FilterError
@@ -40,7 +41,7 @@ def trial_of(effect, evidence=0.0, effort=GLANCE, particles=400, rows=None, nois
 class Case:
     """A search in which fits and scores are made up, and what it has done."""
 
-    def __init__(self, monkeypatch, evidence, scores=None, formulas=(), p_value=1e-9):
+    def __init__(self, monkeypatch, evidence, scores=None, formulas=(), p_value=1e-9, bounds=None):
         self.log = simulate_landmark_field(60, 1, bearings=True)
         self.search = Search(self.log, candidates(self.log), SETTINGS)
         self.search.models.directions = directions_of(self.search.models.offered)
@@ -50,7 +51,11 @@ class Case:
         self.last = SimpleNamespace(judgement=SimpleNamespace(
             z=z, score=z, score_std=np.ones(z.size), plain_z=z, plain_std=np.ones(z.size), p_value=p_value,
             p_values=np.ones(z.size), critical_z=3.0,
-        ))  # fmt: skip
+        ), fit=None, scored=SimpleNamespace(source=SimpleNamespace(columns=None)))  # fmt: skip
+        bounds = bounds or {}
+        monkeypatch.setattr(search, "bounds_of", lambda directions, *_: [
+            LowerBound(bounds.get(one.effect.name, -np.inf), one.above) for one in directions
+        ])  # fmt: skip
         scored = directions_of([one.effect for one in formulas])
         offered = FormulaCandidates(list(formulas), scored, SimpleNamespace(p_values=np.ones(len(scored))))
 
@@ -159,10 +164,28 @@ def test_where_the_likeliest_explain_nothing_further_candidates_are_tried_unless
     assert len(set(case.names("glance"))) == len(case.names("glance"))  # nothing is fitted again
 
 
+def test_what_gains_along_the_trajectories_is_tried_first_whatever_its_score(monkeypatch):
+    """A score says little about a large effect; it starts where it gains, and nothing else is tried."""
+    scores = {"odometry-arc": 7.0, "landmark-range-bias": 6.0, "landmark-misread": -4.0}
+    case = Case(monkeypatch, gains(landmark_misread=500.0), scores, bounds={"landmark-misread": 300.0})
+    starts, tried = {}, refits.try_effect
+
+    def remembered(current, effect, z, log, *, at, **settings):
+        starts[effect.name] = at
+        return tried(current, effect, z, log, **settings)
+
+    monkeypatch.setattr(refits, "try_effect", remembered)
+    assert case.explain().found.name == "landmark-misread"
+    assert case.names("glance")[0] == "landmark-misread"
+    assert starts["landmark-misread"] is not None
+    assert starts["odometry-arc"] is None
+    assert len(case.names("glance")) < search._BATCH + 6
+
+
 def test_where_nothing_explains_the_log_also_what_its_scores_speak_against_is_tried(monkeypatch):
     """A base model that makes up for a large effect by large noise has a score that says the effect is absent."""
     case = Case(monkeypatch, gains(landmark_misread=500.0), {"landmark-misread": -4.0})
-    order = search.by_score(case.search.directions, case.last.judgement)
+    order = search.in_order(case.search.directions, case.search._promises(case.last))
     assert not next(one for one in order if one.effect.name == "landmark-misread").worth_a_fit
     assert case.explain(further=False).accepted is None
     outcome = case.explain()
@@ -257,7 +280,8 @@ def test_nothing_is_answered_where_all_candidates_lose(monkeypatch):
     assert outcome.found is None
     assert not outcome.certain
     assert outcome.probable.nothing + outcome.probable.unknown > 0.99
-    worth = {one.effect.name for one in search.by_score(case.search.directions, case.last.judgement) if one.worth_a_fit}
+    order = search.in_order(case.search.directions, case.search._promises(case.last))
+    worth = {one.effect.name for one in order if one.worth_a_fit}
     assert worth <= set(case.names("glance"))
 
 

@@ -157,6 +157,7 @@ def try_effect(
     seed: int,
     particles: int,
     effort: Effort,
+    at: Float | None = None,
 ) -> Trial | None:
     """Fit the current model with one additional effect.
 
@@ -176,6 +177,8 @@ def try_effect(
         Particles of the filter that scores the rows.
     effort : Effort
         Length of the fit.
+    at : ndarray, shape (k,), optional
+        Values of the effect's parameters at which the fit starts, instead of some near its null.
 
     Returns
     -------
@@ -189,7 +192,7 @@ def try_effect(
             current.model, effects=(*current.model.effects, effect), fixed={**current.model.fixed, **held_fixed}
         )
         bound = model.bind(log)
-        values, path = starting_point(bound, current.fit, effect, z, free)
+        values, path = starting_point(bound, current.fit, effect, z, free, at)
         theta = np.concatenate([current.fit.theta, values[free]])
         fitted = quick_fit(bound, seed, theta=theta, path=path, effort=effort)
         return _scored(effect, model, fitted, z, current, seed=seed, particles=particles, effort=effort)

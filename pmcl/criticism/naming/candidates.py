@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.criticism.fitting.trials import Trial
-from pmcl.criticism.judging.alarms import Judgement
-from pmcl.criticism.naming.probability import evidence_of_scores
+from pmcl.criticism.naming.promises import Promises
 from pmcl.criticism.scoring.scores import Direction, instance_key
 from pmcl.models.effects.effect import Effect
 
 __all__ = [
-    "RankedEffect", "are_near_twins", "by_score", "in_order", "of_carrier", "of_sensors", "other_places", "twins_of",
+    "RankedEffect", "are_near_twins", "in_order", "of_carrier", "of_sensors", "other_places", "twins_of",
     "untried",
 ]  # fmt: skip
 
@@ -36,48 +35,28 @@ class RankedEffect(NamedTuple):
     z : float
         Its standardised score.
     worth_a_fit : bool
-        Whether its score promises evidence, or says little: the path absorbs most of a constant error of the mount or
-        of the odometry, so that it shows only in a fit. The path absorbs no error at a single place and no one-sided
+        Whether it promises evidence, or its score says little: the path absorbs most of a constant error of the mount
+        or of the odometry, so that it shows only in a fit. The path absorbs no error at a single place and no one-sided
         effect, such as the weight of a mixture; without a score these are absent.
+    starts_at : ndarray, shape (k,), optional
+        The effect's values at which its fit starts; near its null when left out.
     """
 
     effect: Effect
     z: float
     worth_a_fit: bool = True
+    starts_at: Float | None = None
 
 
-def by_score(directions: Sequence[Direction], judgement: Judgement) -> list[RankedEffect]:
-    """Return all candidates, those first whose scores promise the greatest evidence.
-
-    Parameters
-    ----------
-    directions : sequence of Direction
-        All K directions.
-    judgement : Judgement
-        Tests of the log with their scores.
-
-    Returns
-    -------
-    list of RankedEffect
-        Of each effect with many places only the best instances.
-    """
-    # Deviations from what simulated logs have, also of one-sided candidates: their scores are those of a finite step,
-    # whose curvature is the same in all logs.
-    deviation = judgement.z * judgement.score_std
-    return in_order(directions, evidence_of_scores(directions, deviation, judgement.score_std), judgement.z)
-
-
-def in_order(directions: Sequence[Direction], promised: Float, z: Float) -> list[RankedEffect]:
+def in_order(directions: Sequence[Direction], promised: Promises) -> list[RankedEffect]:
     """Return candidates, those first that promise most.
 
     Parameters
     ----------
     directions : sequence of Direction
         All K directions.
-    promised : ndarray, shape (K,)
-        What each promises: its log evidence over nothing, or what takes its place.
-    z : ndarray, shape (K,)
-        Their standardised scores.
+    promised : Promises
+        What they promise.
 
     Returns
     -------
@@ -86,7 +65,7 @@ def in_order(directions: Sequence[Direction], promised: Float, z: Float) -> list
     """
     kept: dict[str, list[Effect]] = {}
     ranked = []
-    for k in np.argsort(-promised, kind="stable"):
+    for k in np.argsort(-promised.evidence, kind="stable"):
         effect = directions[k].effect
         alike = kept.setdefault(effect.name, [])
         if any(instance_key(effect) == instance_key(other) for other in alike):
@@ -94,8 +73,14 @@ def in_order(directions: Sequence[Direction], promised: Float, z: Float) -> list
         if len(alike) < (1 if effect.shape else _INSTANCES):
             absorbed = not effect.where and not directions[k].one_sided
             alike.append(effect)
-            ranked.append(RankedEffect(effect, float(z[k]), bool(promised[k] > 0.0) or absorbed))
+            ranked.append(_ranked(directions, promised, int(k), absorbed))
     return ranked
+
+
+def _ranked(directions: Sequence[Direction], promised: Promises, k: int, absorbed: bool = False) -> RankedEffect:
+    return RankedEffect(
+        directions[k].effect, float(promised.z[k]), bool(promised.evidence[k] > 0.0) or absorbed, promised.starts_at[k]
+    )
 
 
 def of_carrier(candidates: Sequence[RankedEffect], carrier: str) -> list[RankedEffect]:
@@ -137,7 +122,7 @@ def twins_of(effects: Sequence[Effect], candidates: Sequence[RankedEffect]) -> l
 
 
 def other_places(
-    trials: Sequence[Trial], directions: Sequence[Direction], judgement: Judgement
+    trials: Sequence[Trial], directions: Sequence[Direction], promised: Promises
 ) -> list[RankedEffect]:
     """Return all places of those effects that move to their place in a fit and have evidence at one that was tried.
 
@@ -149,16 +134,14 @@ def other_places(
         What was refitted.
     directions : sequence of Direction
         All K directions.
-    judgement : Judgement
-        Tests of the log with their scores.
+    promised : Promises
+        What they promise.
     """
     names = {trial.effect.name for trial in trials if trial.effect is not None and trial.evidence > 0.0}
     places: dict[object, RankedEffect] = {}
     for k, direction in enumerate(directions):
         if direction.effect.shape and direction.effect.name in names:
-            places.setdefault(
-                instance_key(direction.effect), RankedEffect(direction.effect, float(judgement.z[k]))
-            )
+            places.setdefault(instance_key(direction.effect), _ranked(directions, promised, k))
     return list(places.values())
 
 

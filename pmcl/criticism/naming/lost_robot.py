@@ -14,6 +14,7 @@ from pmcl.criticism.fitting.quick_fit import THOROUGH, Fit
 from pmcl.criticism.fitting.trials import Trial, effect_of
 from pmcl.criticism.naming.candidates import in_order, of_carrier, of_sensors, twins_of, untried
 from pmcl.criticism.naming.probability import CREDIBLE
+from pmcl.criticism.naming.promises import bounds_of, with_bounds
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, effect_scores, instance_key
 from pmcl.errors import FilterError
@@ -80,10 +81,11 @@ def recover(
         return None
     refits.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
     # Scores of a lost filter have an unknown distribution: they only give the order, and fits start without them.
-    scores = effect_scores(fit.tables, refits.log, np.ascontiguousarray(fit.path.T[None]), directions)
+    columns = np.ascontiguousarray(fit.path.T[None])
+    scores = effect_scores(fit.tables, refits.log, columns, directions)
     z = scores.sum(axis=1) / np.sqrt((scores**2).sum(axis=1) + np.finfo(float).tiny)
     z = np.where([direction.one_sided for direction in directions], np.maximum(z, 0.0), np.abs(z))
-    candidates = in_order(directions, z, np.zeros(len(directions)))
+    candidates = in_order(directions, with_bounds(0.5 * z**2, np.zeros(z.size), bounds_of(directions, fit, columns)))
     least_evidence = 0.0
     for offered in (of_carrier(candidates, "motion"), of_sensors(candidates)):
         glances = refits.glances(current, offered)

@@ -72,8 +72,9 @@ class Refits:
 
         def glance_at(k: int) -> Trial | None:
             return try_effect(
-                current, new[k].effect, new[k].z, self.log, seed=self.seed, particles=current.particles, effort=GLANCE
-            )
+                current, new[k].effect, new[k].z, self.log, seed=self.seed, particles=current.particles, effort=GLANCE,
+                at=new[k].starts_at,
+            )  # fmt: skip
 
         for trial in self.settings.mapped(glance_at, "quick fits of candidates", names):
             if trial is not None:

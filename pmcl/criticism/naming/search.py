@@ -2,8 +2,8 @@
 
 One quantity decides: the posterior probability of each explanation, see :mod:`pmcl.criticism.naming.probability`.
 
-1. The candidates whose scores promise most are fitted at a glance, and so is what the catalogue says looks like one of
-   those that may be right.
+1. The candidates that promise most (:mod:`pmcl.criticism.naming.promises`) are fitted at a glance, and so is what the
+   catalogue says looks like one of those that may be right.
 2. Whatever may be right after a glance is fitted longer, and what may be the answer after that is fitted thoroughly;
    where only one effect may be right, at once.
 3. Formulas compete with the effects of the catalogue, unless an alarm is in doubt that none of these explains.
@@ -36,7 +36,7 @@ from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.candidates import (
     RankedEffect,
     are_near_twins,
-    by_score,
+    in_order,
     other_places,
     twins_of,
     untried,
@@ -52,7 +52,10 @@ from pmcl.criticism.naming.probability import (
     suspects,
     with_probabilities,
 )
+from pmcl.criticism.naming.promises import Promises, bounds_of, promises
 from pmcl.criticism.naming.refits import Refits
+from pmcl.criticism.scoring.lower_bounds import LowerBound
+from pmcl.criticism.scoring.scored_log import ScoredLog
 from pmcl.criticism.scoring.scores import Direction, instance_key
 from pmcl.criticism.settings import Settings
 from pmcl.errors import FilterError
@@ -122,6 +125,7 @@ class Search:
 
     def __init__(self, log: RobotLog, offered: Sequence[Effect], settings: Settings) -> None:
         self.log, self.models, self.refits = log, JudgedModels(log, offered), Refits(log, settings)
+        self._bounded: tuple[ScoredLog, tuple[Direction, ...], list[LowerBound]] | None = None
         self._same = {
             effect.name: other for effect in offered for other, holds in effect.same_as.items() if holds(log)
         }
@@ -221,7 +225,7 @@ class Search:
             The same model, scored.
         """
         suspected = {instance_key(effect) for effect in suspects(last.judgement, self.directions)}
-        ranked = by_score(self.directions, last.judgement)
+        ranked = in_order(self.directions, self._promises(last))
         chosen = [one for one in ranked if instance_key(one.effect) in suspected]
         if not chosen:
             return None
@@ -252,7 +256,8 @@ class Search:
         refuted : Outcome, optional
             An answer that cannot be all: every other candidate competes with it.
         """
-        candidates = by_score(self.directions, last.judgement)
+        promised = self._promises(last)
+        candidates = in_order(self.directions, promised)
         formulas = refuted.formulas if refuted is not None else None
         trials = list(refuted.trials) if refuted is not None else []
         tried = {instance_key(effect_of(trial)) for trial in trials}
@@ -260,7 +265,7 @@ class Search:
 
         def rest() -> list[RankedEffect]:
             """Return what was not tried: first what each effect promises most, then other places of what may move."""
-            elsewhere = other_places(trials, self.directions, last.judgement)
+            elsewhere = other_places(trials, self.directions, promised)
             return untried(candidates, tried) or untried(elsewhere, tried)
 
         worth_a_fit = [one for one in candidates if one.worth_a_fit]
@@ -300,7 +305,7 @@ class Search:
             The effect in question.
         """
         present = {instance_key(other) for other in without.model.effects}
-        twins = twins_of([ranked.effect], untried(by_score(self.directions, last.judgement), present))
+        twins = twins_of([ranked.effect], untried(in_order(self.directions, self._promises(last)), present))
         if not twins:
             return None
         self.settings.tell(f"is it still {ranked.effect.name}?")
@@ -339,6 +344,14 @@ class Search:
             return outcome
         probable = self._explanations(last, current, trials, formulas, p_value)
         return self._answer(last, trials, probable, formulas)._replace(exhausted=outcome.exhausted)
+
+    def _promises(self, last: JudgedFit) -> Promises:
+        """Return what the candidates promise; bounds are computed once for each model that is judged."""
+        known = self._bounded
+        if known is None or known[0] is not last.scored or known[1] is not self.directions:
+            bounds = bounds_of(self.directions, last.fit, last.scored.source.columns)
+            known = self._bounded = (last.scored, self.directions, bounds)
+        return promises(self.directions, last.judgement, known[2])
 
     def _explanations(
         self,

@@ -29,8 +29,8 @@ from pmcl.models.sensor import sensor_of
 from pmcl.models.tables import Tables
 
 __all__ = [
-    "Direction", "applicable", "candidate_directions", "directions_of", "effect_scores", "instance_key",
-    "parameter_scores", "probe_values",
+    "ChangedDensity", "Direction", "applicable", "candidate_directions", "directions_of", "effect_scores",
+    "inside_priors", "instance_key", "parameter_scores", "probe_values",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
@@ -43,6 +43,8 @@ _PROBE_SIZE = 0.25
 _PARAMETER_SHARE = 0.02
 # It leads at most this share of the way to the end of the parameter's support. Chosen by hand.
 _OF_SUPPORT = 0.5
+# Values that a density is asked for lie so far from the edges of their prior, in units of its width (chosen by hand).
+_MARGIN = 1e-6
 # The change of one row of one trajectory is limited to this [nat]: beyond it a reading is impossible under one of the
 # two models, and a larger number holds no more information. Chosen by hand.
 _GREATEST_CHANGE = 50.0
@@ -97,6 +99,16 @@ def probe_values(effect: Effect, size: float, strength: int) -> Float:
     spread = float(effect.parameters[strength].prior.std())
     values[strength] += (np.sqrt(max(size, 0.0)) if effect.squared else size) * (spread if np.isfinite(spread) else 1.0)
     return values
+
+
+def inside_priors(effect: Effect, values: Float) -> Float:
+    """Return values (k,) of an effect's parameters, those at the edge of their prior moved a little inwards."""
+    inside = values.copy()
+    for k, parameter in enumerate(effect.parameters):
+        low, high = prior_support(parameter.prior)
+        margin = _MARGIN * (high - low) if np.isfinite(high - low) else _MARGIN
+        inside[k] = np.clip(values[k], low + margin, high - margin)
+    return inside
 
 
 def directions_of(effects: Sequence[Effect]) -> tuple[Direction, ...]:
@@ -206,6 +218,45 @@ def effect_scores(tables: Tables, log: RobotLog, columns: Float, directions: Seq
         if not direction.one_sided:
             score *= 0.5
     return scores
+
+
+class ChangedDensity:
+    """Changes of the log density of trajectories by effects of any size.
+
+    Attributes
+    ----------
+    tables : Tables
+        Coefficient tables of the current model.
+    log : RobotLog
+        The log that they belong to.
+    """
+
+    def __init__(self, tables: Tables, log: RobotLog, columns: Float) -> None:
+        self.tables, self.log = tables, log
+        self._densities = _Densities(columns, tables)
+
+    def __call__(self, effect: Effect, values: Float) -> Float:
+        """Return the change of the log density [nat] of each row, (T,), mean over the trajectories.
+
+        Parameters
+        ----------
+        effect : Effect
+            An effect that the model lacks.
+        values : ndarray, shape (k,)
+            Its parameters.
+
+        Raises
+        ------
+        DensityError
+            When a density is not a number, with the time and the values of the effect.
+        """
+        change = np.zeros(self.log.n_steps)
+        names = [parameter.name for parameter in effect.parameters]
+        edited = _on_the_same_states(effect.edit(self.tables, values, self.log), self.tables)
+        with _scored_between(effect.name, self.log, names, np.array(effect.null), values):
+            self._densities.add_difference(edited, self.tables, change)
+        self._densities.forget_all_but(self.tables)
+        return change
 
 
 def _on_the_same_states(edited: Tables, tables: Tables) -> Tables:
@@ -321,6 +372,11 @@ class _Densities:
                 if upper is None:
                     continue
             score += _mean_change(self._sensor(upper, cache), self._sensor(lower, cache))
+
+    def forget_all_but(self, tables: Tables) -> None:
+        """Forget the densities of tables that are not asked for again."""
+        kept = {id(tables.motion), *(id(table) for table in tables.sensors)}
+        self.known = {key: value for key, value in self.known.items() if key in kept}
 
     def _motion(self, tables: Tables) -> Float:
         return self._once(tables.motion, lambda: smc.motion_terms(tables.start, tables.motion, self.columns))

@@ -95,6 +95,8 @@ class Effect:
         ``carries(path, values, log)``: the path (T, D) along which the readings with the effect are about those along
         `path` without it, for an effect that moves the whole sensor. Only the motion then tells its size. A fit starts
         there: from the path without the effect, all readings would have to be left behind to come to a large one.
+    rigid : bool
+        Whether it carries each pose of a path by itself and rigidly, as a turned or shifted sensor does.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Effect:
     fitted: Callable[[Effect, RobotLog], Effect] | None = None
     tells: Callable[[RobotLog], Mapping[str, float]] | None = None
     carries: Callable[[Float, Float, RobotLog], Float] | None = None
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Check that names, values and priors belong together."""

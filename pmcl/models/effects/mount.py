@@ -153,6 +153,7 @@ MOUNT_EFFECTS = (
                     "for Mobile Robots, 2013",),
         needs=has_direction,
         carries=_turned_back,
+        rigid=True,
     ),
     Effect(
         name="sensor-offset",
@@ -172,6 +173,7 @@ MOUNT_EFFECTS = (
                     "for Mobile Robots, 2013",),
         needs=reads_anything,
         carries=_moved_back,
+        rigid=True,
     ),
     Effect(
         name="sensor-latency",
