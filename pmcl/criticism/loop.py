@@ -156,10 +156,10 @@ class Loop:
                 return self._finished(state, outcome.trials, "nothing unusual")
             outcome = self.search.explain(state.judged, current)
         self._tell_name(outcome)
-        if self.search.refuted(outcome):
-            self.settings.tell("that does not explain all of it: trying every other candidate")
-            first_answer, outcome = outcome.accepted, self.search.explain(state.judged, current, refuted=outcome)
-            if outcome.accepted is not first_answer:
+        while self.search.refuted(outcome):
+            self.settings.tell("that does not explain all of it: trying what else may be meant")
+            before, outcome = outcome.accepted, self.search.explain(state.judged, current, refuted=outcome)
+            if outcome.accepted is not before:
                 self._tell_name(outcome)
         if outcome.accepted is None:
             outcome = self.search.beside_something_unknown(state.judged, current, outcome)

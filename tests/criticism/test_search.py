@@ -193,7 +193,7 @@ def test_where_nothing_explains_the_log_also_what_its_scores_speak_against_is_tr
     assert {one.effect.name for one in order} <= set(case.names("glance"))
 
 
-def test_a_refuted_answer_competes_with_all_other_candidates_at_all_places(monkeypatch):
+def test_a_refuted_answer_competes_with_all_that_promise_something_at_all_places(monkeypatch):
     """A patch has evidence at the place whose score promises most, and far more at another, which no fit reaches."""
 
     def evidence(effect):
@@ -201,7 +201,8 @@ def test_a_refuted_answer_competes_with_all_other_candidates_at_all_places(monke
             return 900.0 if effect.where["place"] == true_place else 20.0
         return {"landmark-range-bias": 60.0}.get(effect.name, -5.0)
 
-    case = Case(monkeypatch, evidence, {"landmark-range-bias": 9.0, "slippery-patch": 0.1})
+    scores, bounds = {"landmark-range-bias": 9.0, "slippery-patch": 0.1}, {"slippery-patch": 0.5}
+    case = Case(monkeypatch, evidence, scores, bounds=bounds)
     places = [one.effect.where["place"] for one in case.search.directions if one.effect.name == "slippery-patch"]
     true_place = places[-1]
     outcome = case.explain()
@@ -214,11 +215,33 @@ def test_a_refuted_answer_competes_with_all_other_candidates_at_all_places(monke
     assert again.accepted.effect.where["place"] == true_place
     assert again.exhausted
     assert "landmark-range-bias" not in case.names("glance")  # it was fitted before
-    # An effect that moves and explains nothing where its score is best is not tried elsewhere.
-    lost = Case(monkeypatch, gains(landmark_range_bias=60.0), {"landmark-range-bias": 9.0})
+    # An effect that explains nothing where it promises most is not tried elsewhere.
+    lost = Case(monkeypatch, gains(landmark_range_bias=60.0), scores, bounds=bounds)
     answer = lost.explain()
     lost.search.explain(lost.last, trial_of(None, effort=THOROUGH), refuted=answer)
     assert lost.names("glance").count("slippery-patch") == 1
+    # What promises nothing is not tried, as long as something explains the log.
+    none = Case(monkeypatch, evidence, {"landmark-range-bias": 9.0, "slippery-patch": -4.0})
+    none.search.explain(none.last, trial_of(None, effort=THOROUGH), refuted=none.explain())
+    assert "slippery-patch" not in none.names("glance")
+
+
+def test_the_search_ends_where_something_is_more_probable_than_a_refuted_answer(monkeypatch):
+    """It is the answer then; what is left is tried only if that is refuted, too."""
+    evidence = gains(landmark_range_bias=60.0, odometry_arc=300.0, odometry_turn_scale=900.0)
+    bounds = {"odometry-arc": 0.6}
+    case = Case(monkeypatch, evidence, {"landmark-range-bias": 9.0, "odometry-turn-scale": -0.01}, bounds=bounds)
+    monkeypatch.setattr(search, "_BATCH", 1)
+    monkeypatch.setattr(search, "twins_of", lambda *_: [])
+    first = case.explain()
+    assert first.found.name == "landmark-range-bias"
+    found, outcome = [], first
+    while outcome.found.name != "odometry-turn-scale":
+        outcome = case.search.explain(case.last, trial_of(None, effort=THOROUGH), refuted=outcome)
+        found.append(outcome.found.name)
+        assert not outcome.exhausted or outcome.found.name == "odometry-turn-scale"
+    assert found == ["odometry-arc", "odometry-turn-scale"]
+    assert len(set(case.names("glance"))) == len(case.names("glance"))
 
 
 @pytest.mark.parametrize(

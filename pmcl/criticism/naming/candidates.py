@@ -124,9 +124,9 @@ def twins_of(effects: Sequence[Effect], candidates: Sequence[RankedEffect]) -> l
 def other_places(
     trials: Sequence[Trial], directions: Sequence[Direction], promised: Promises
 ) -> list[RankedEffect]:
-    """Return all places of those effects that move to their place in a fit and have evidence at one that was tried.
+    """Return other places of those effects that have evidence at one, if these places promise something, too.
 
-    A fit moves such an effect by some of its size, not through the room.
+    Two beams may be much alike, and a fit moves a patch by some of its size, not through the room.
 
     Parameters
     ----------
@@ -139,9 +139,10 @@ def other_places(
     """
     names = {trial.effect.name for trial in trials if trial.effect is not None and trial.evidence > 0.0}
     places: dict[object, RankedEffect] = {}
-    for k, direction in enumerate(directions):
-        if direction.effect.shape and direction.effect.name in names:
-            places.setdefault(instance_key(direction.effect), _ranked(directions, promised, k))
+    for k in np.argsort(-promised.evidence, kind="stable"):
+        effect = directions[k].effect
+        if effect.where and effect.name in names and promised.evidence[k] > 0.0:
+            places.setdefault(instance_key(effect), _ranked(directions, promised, int(k)))
     return list(places.values())
 
 

@@ -11,8 +11,8 @@ One quantity decides: the posterior probability of each explanation, see :mod:`p
    all candidates were tried.
 5. The most probable effect is the answer, with those that may be meant instead. If the log raises alarms under the
    model with it, too, something may have more evidence that was not tried: scores tell what a small effect is worth,
-   and a fit without a large one bends them. All other candidates are then fitted at a glance, also at other places, and
-   compete with it.
+   and a fit without a large one bends them. All others that promise something are then fitted at a glance, also at
+   other places, until one of them is more probable; it is the answer then, and is asked the same.
 6. Where something unknown is more probable than any effect alone, the most probable effect is the answer if it is more
    probable that it is there, with something unknown beside it, than that it is not.
 
@@ -254,7 +254,7 @@ class Search:
         first : sequence of RankedEffect, optional
             Candidates that are fitted first, instead of those whose scores promise most.
         refuted : Outcome, optional
-            An answer that cannot be all: every other candidate competes with it.
+            An answer that cannot be all: the other candidates compete with it, until another one is more probable.
         """
         promised = self._promises(last)
         candidates = in_order(self.directions, promised)
@@ -263,14 +263,19 @@ class Search:
         tried = {instance_key(effect_of(trial)) for trial in trials}
         probable = self._explanations(last, current, trials, formulas)
 
-        def rest() -> list[RankedEffect]:
-            """Return what was not tried: first what each effect promises most, then other places of what may move."""
-            elsewhere = other_places(trials, self.directions, promised)
-            return untried(candidates, tried) or untried(elsewhere, tried)
-
         worth_a_fit = [one for one in candidates if one.worth_a_fit]
+
+        def others() -> list[RankedEffect]:
+            """Return what is worth a fit and was not tried, also at other places of what has evidence at one."""
+            elsewhere = other_places(trials, self.directions, promised)
+            return untried(worth_a_fit, tried) or untried(elsewhere, tried)
+
+        def rest() -> list[RankedEffect]:
+            """Return what was not tried; it may explain a log that nothing else explains."""
+            return others() or untried(candidates, tried)
+
         usual = worth_a_fit[:_BATCH] if first is None else list(first)
-        chosen = usual if refuted is None else rest()
+        chosen = usual if refuted is None else others()[:_BATCH]
         while chosen:
             tried |= {instance_key(one.effect) for one in chosen}
             trials = self._refined(last, current, [*trials, *self.refits.glances(current, chosen)], formulas)
@@ -284,13 +289,13 @@ class Search:
                 leading = _leading(trials, probable)
                 formulas = remarkable_formulas(last, self.models.current, self.log, self.settings, leading)
                 chosen = formulas.chosen
-            if not chosen and refuted is not None:
-                chosen = rest()
-            elif not chosen and not probable.explained:
-                chosen = (untried(worth_a_fit, tried) or rest())[:_BATCH]
+            if not chosen and refuted is not None and _is_still_the_answer(refuted, probable):
+                chosen = others()[:_BATCH]
+            elif not chosen and refuted is None and not probable.explained:
+                chosen = rest()[:_BATCH]
         trials = self._finer(current, trials, probable)
         probable = self._explanations(last, current, trials, formulas)
-        return self._answer(last, trials, probable, formulas)._replace(exhausted=not rest())
+        return self._answer(last, trials, probable, formulas)._replace(exhausted=not others())
 
     def named_again(self, last: JudgedFit, without: Trial, ranked: RankedEffect) -> Outcome | None:
         """Choose again among an effect of a model and what looks like it; None where nothing does.
@@ -445,6 +450,12 @@ def _in_doubt_by_noise(current: Trial, trials: Sequence[Trial], probable: Explan
         and trial.noise > _LITTLE_NOISE
     ]
     return sorted(noisy, key=lambda trial: -probable.of(effect_of(trial)))[:_MOST_IN_DOUBT]
+
+
+def _is_still_the_answer(outcome: Outcome, probable: Explanations) -> bool:
+    """Return whether the effect that a search accepted is still the most probable one."""
+    assert outcome.accepted is not None
+    return instance_key(probable.effects[0]) == instance_key(effect_of(outcome.accepted))
 
 
 def _leading(trials: Sequence[Trial], probable: Explanations) -> Effect | None:
