@@ -124,9 +124,10 @@ def twins_of(effects: Sequence[Effect], candidates: Sequence[RankedEffect]) -> l
 def other_places(
     trials: Sequence[Trial], directions: Sequence[Direction], promised: Promises
 ) -> list[RankedEffect]:
-    """Return other places of those effects that have evidence at one, if these places promise something, too.
+    """Return other places of those effects that have evidence at one.
 
-    Two beams may be much alike, and a fit moves a patch by some of its size, not through the room.
+    Two beams or walls may be much alike, and a fit moves a patch by some of its size, not through the room. The path
+    may absorb a wall that stands elsewhere, so that it promises nothing. It absorbs no one-sided effect.
 
     Parameters
     ----------
@@ -141,7 +142,8 @@ def other_places(
     places: dict[object, RankedEffect] = {}
     for k in np.argsort(-promised.evidence, kind="stable"):
         effect = directions[k].effect
-        if effect.where and effect.name in names and promised.evidence[k] > 0.0:
+        seen = promised.evidence[k] > 0.0 or not directions[k].one_sided
+        if effect.where and effect.name in names and seen:
             places.setdefault(instance_key(effect), _ranked(directions, promised, int(k)))
     return list(places.values())
 
