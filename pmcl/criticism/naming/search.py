@@ -252,7 +252,7 @@ class Search:
         further : bool
             Whether to go on if the likeliest candidates do not explain the alarms.
         first : sequence of RankedEffect, optional
-            Candidates that are fitted first, instead of those whose scores promise most.
+            Candidates that are fitted first, instead of those that promise most.
         refuted : Outcome, optional
             An answer that cannot be all: the other candidates compete with it, until another one is more probable.
         """
