@@ -16,7 +16,7 @@ from pmcl.criticism.findings.assemble import (
 )
 from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.findings.result import Criticism
-from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of
+from pmcl.criticism.findings.verdict import UNKNOWN, sentence_of, verdict_of, with_place
 from pmcl.criticism.fitting.next_drive import next_drive
 from pmcl.criticism.fitting.quick_fit import LONG, Fit, quick_fit
 from pmcl.criticism.fitting.when import Acting, acting
@@ -53,7 +53,15 @@ def concluded(task: Task, state: State, *, draws: int = 0) -> Criticism:
     """
     settings, fit = task.search.settings, state.judged.fit
     before, after, posterior = estimates(state.first.fit), estimates(fit), None
+    added_effects = [answer.found for answer in state.answers]
+    verdict = verdict_of(added_effects, state.judged.judgement, _something_missing(state, task.search.directions))
+    loss_remains = task.loss is not None and (task.loss.partial or not added_effects)
+    if loss_remains:
+        verdict = UNKNOWN
     if draws:
+        # What takes the longest comes last; it changes no name.
+        names = ", ".join(with_place(found) for found in added_effects)
+        settings.tell(f"verdict: {verdict}" + (f" ({names})" if names else ""))
         posterior, notes = _calibrated(task, fit, draws)
         state = state.noted(*notes)
     if posterior is not None:
@@ -69,11 +77,9 @@ def concluded(task: Task, state: State, *, draws: int = 0) -> Criticism:
         for answer, effect, window in zip(state.answers, added, windows, strict=True)
     )
     unexplained = unexplained_of(state.judged, task.search.directions)
-    verdict = verdict_of(found, state.judged.judgement, _something_missing(state, task.search.directions))
     lost = ""
-    if task.loss is not None and (task.loss.partial or not found):
-        lost = task.loss.what
-        verdict, unexplained = UNKNOWN, (task.loss.place, *unexplained)
+    if task.loss is not None and loss_remains:
+        lost, unexplained = task.loss.what, (task.loss.place, *unexplained)
     # The model that is handed over applies to other logs as well: its formulas are evaluated anew on each.
     model = replace(model, effects=tuple(portable(effect) for effect in model.effects))
     return Criticism(

@@ -118,6 +118,11 @@ def test_what_criticize_found_is_used_by_other_commands(run, biased, tmp_path, m
     # What is being tried is told although there is no terminal.
     assert "fitting the base model" in result.stderr
     assert "refitting" in result.stderr
+    # The verdict is told before the full chains, which take the longest.
+    before, told, _ = result.stderr.partition("verdict: ")
+    assert told
+    assert "named beam-bias (beam 2)" in before
+    assert "calibrating the final model" not in before
     simulate_amigobot(80.0, 9, NOISE, effects=("beam-bias@2=0.25",)).write("OTHER.nc")
     for command in commands[:3]:
         words = shlex.split(command)[1:]
