@@ -17,11 +17,11 @@ from pmcl.models.parameters import Parameter
 FREE = np.array([True])
 
 
-def effect(*priors):
+def effect(*priors, squared=False):
     """An effect with a strength of each prior."""
     parameters = tuple(Parameter(f"size_{k}", "1", prior) for k, prior in enumerate(priors))
     null, clear = (0.0,) * len(priors), (1.0,) * len(priors)
-    return Effect("made", ".", parameters, null, lambda tables, *_: tables, typical={"clear": clear})
+    return Effect("made", ".", parameters, null, lambda tables, *_: tables, typical={"clear": clear}, squared=squared)
 
 
 def told(draws, one, free=FREE):
@@ -56,6 +56,34 @@ def test_of_a_weight_that_cannot_be_negative(peak, rng):
     )
     draws = stats.truncnorm.rvs(-peak, np.inf, loc=peak * sd, scale=sd, size=100_000, random_state=rng)
     assert told(draws, effect(prior)).value == pytest.approx(np.log(factor), abs=0.1)
+
+
+def test_of_an_added_noise_whose_square_counts(rng):
+    """Steps of different lengths have noise of their own length besides; both noises are unknown, as in a model."""
+    prior = stats.halfnorm(scale=0.3)
+    sigma, size = np.linspace(0.03, 0.1, 71)[:, None], np.linspace(0.0, 0.6, 241)
+    plain, square = [], []
+    for true in (0.0, 0.08, 0.1, 0.12) * 4:
+        length = np.abs(rng.normal(0.25, 0.12, 600))
+        error = rng.normal(size=600) * np.hypot(0.06, true * length)
+        variance = sigma[..., None] ** 2 + (size[:, None] * length) ** 2
+        log_likelihood = -0.5 * (np.log(variance) + error**2 / variance).sum(axis=-1)
+        likelihood = np.exp(log_likelihood - log_likelihood.max()).sum(axis=0)
+        weighted = prior.pdf(size) * likelihood
+        expected = np.log(integrate.trapezoid(weighted, size) / likelihood[0])
+        cumulated = integrate.cumulative_trapezoid(weighted, size, initial=0.0)
+        draws = np.interp(rng.uniform(size=4000), cumulated / cumulated[-1], size)
+        for errors, squared in ((plain, False), (square, True)):
+            found = told(draws, effect(prior, squared=squared))
+            errors.append(np.nan if found is None else found.value - expected)
+    square = np.array(square)
+    assert np.isfinite(square).sum() >= 12
+    assert np.nanmax(np.abs(square)) < 1.2
+    assert np.sqrt(np.nanmean(square**2)) < 0.6
+    # A normal of the size itself is further off, and tells less often.
+    plain = np.array(plain)
+    assert np.isnan(plain).sum() > np.isnan(square).sum()
+    assert np.sqrt(np.nanmean(plain**2)) > 0.8
 
 
 def test_of_two_strengths_together(rng):

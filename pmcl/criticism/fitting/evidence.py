@@ -64,8 +64,9 @@ def nested_evidence(fit: Fit, effect: Effect, free: NDArray[np.bool_]) -> Nested
         return None
     position = np.cumsum(free) - 1 - int(free.sum())
     draws = np.column_stack([fit.draws[:, position[k]] - effect.null[k] for k in strengths])
-    at_bound = [effect.squared or effect.one_sided(k) for k in strengths]
-    if any(at_bound):
+    if effect.squared:
+        posterior = _of_square(draws[:, 0], effect, strengths[0], prior) if len(strengths) == 1 else None
+    elif any(effect.one_sided(k) for k in strengths):
         posterior = _log_density_at_bound(np.abs(draws[:, 0])) if len(strengths) == 1 else None
     else:
         posterior = _log_density_at_zero(draws)
@@ -95,9 +96,27 @@ def _log_density_at_zero(draws: Float) -> _AtZero | None:
     return _AtZero(-0.5 * (squared + float(log_determinant)), float(np.sqrt(squared)))
 
 
-def _log_density_at_bound(draws: Float) -> _AtZero | None:
+def _of_square(draws: Float, effect: Effect, strength: int, log_prior: float) -> _AtZero | None:
+    """Return the density at zero of draws (N,) of a strength that enters through its square; None if that is far away.
+
+    The likelihood is about a normal of the square v, and flat in the strength s itself near zero. With weights
+    w = 2 s / prior(s), the draws are those of a prior that is flat in v. The density of s at zero is then prior(0)
+    times the density of v at zero, times the mean of w.
+    """
+    size = np.abs(draws)
+    weight = 2.0 * size / np.exp(effect.parameters[strength].prior.logpdf(effect.null[strength] + draws))
+    if not weight.sum() > 0.0 or not np.isfinite(weight).all():
+        return None
+    of_square = _log_density_at_bound(size**2, weight)
+    if of_square is None:
+        return None
+    return of_square._replace(log_density=log_prior + of_square.log_density + float(np.log(weight.mean())))
+
+
+def _log_density_at_bound(draws: Float, weight: Float | None = None) -> _AtZero | None:
     """Return the density at zero of a normal, cut at zero, with the moments of some draws, (N,); None if far away."""
-    mean, std = float(draws.mean()), float(draws.std(ddof=1))
+    mean = float(np.average(draws, weights=weight))
+    std = float(np.sqrt(np.average((draws - mean) ** 2, weights=weight) * draws.size / (draws.size - 1)))
     if not std > 0.0 or mean > _FARTHEST * std:
         return None
 
