@@ -284,3 +284,22 @@ def test_an_earlier_effect_is_exchanged_for_what_is_more_probable_beside_a_later
     assert [effect.name for effect in gone.trial.model.effects] == ["bearing-bias"]
     assert not gone.answers
     assert len(asked) == 2  # what goes is not named again
+
+
+def test_a_few_readings_that_are_impossible_without_a_mixture_give_it_their_evidence():
+    """The weight is two standard deviations from zero, and its density there is nothing: draws do not show that."""
+    evidence = {}
+    for given in ("random-readings=0.002", ""):
+        noise = {"sigma_forward": 0.03, "sigma_left": 0.02, "sigma_turn": 0.04, "sigma_range": 0.06}
+        log = simulate_amigobot(400.0, 5, noise, effects=(given,) if given else (), hide_effects=True)
+        current = trial_of_base(quick_fit(default_model(log).bind(log), 1), seed=2, particles=1000)
+        effect = effect_named("random-readings", log)
+        trial = try_effect(current, effect, 1.0, log, seed=3, particles=1000, effort=THOROUGH)
+        weight = trial.fit.draws[:, -1]
+        assert weight.mean() < 3.0 * weight.std()
+        evidence[given] = trial
+    rare, none = evidence.values()
+    assert not rare.nested
+    assert rare.evidence > 500.0
+    assert none.nested
+    assert none.evidence < 0.0

@@ -32,10 +32,22 @@ _LEAST_NOISE = 0.2
 
 
 class NestedEvidence(NamedTuple):
-    """Log evidence of an effect over none, with its standard deviation [nat]."""
+    """Log evidence of an effect over none, from draws.
+
+    Attributes
+    ----------
+    value : float
+        The log evidence [nat].
+    noise : float
+        Its standard deviation [nat].
+    of_weight : bool
+        Whether the effect may be the weight of a mixture. A few readings that are impossible without it take the
+        density at zero down to nothing, which the draws do not show: the evidence is then far greater than this.
+    """
 
     value: float
     noise: float
+    of_weight: bool = False
 
 
 def nested_evidence(fit: Fit, effect: Effect, free: NDArray[np.bool_]) -> NestedEvidence | None:
@@ -74,7 +86,8 @@ def nested_evidence(fit: Fit, effect: Effect, free: NDArray[np.bool_]) -> Nested
         return None
     independent = len(draws) / _DRAWS_PER_INDEPENDENT
     noise = np.hypot(_LEAST_NOISE, posterior.distance**2 / np.sqrt(2.0 * independent))
-    return NestedEvidence(prior - posterior.log_density, float(noise))
+    of_weight = not effect.squared and any(effect.one_sided(k) for k in strengths)
+    return NestedEvidence(prior - posterior.log_density, float(noise), of_weight)
 
 
 class _AtZero(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from pmcl.criticism.fitting.evidence import nested_evidence
+from pmcl.criticism.fitting.evidence import NestedEvidence, nested_evidence
 from pmcl.criticism.fitting.held_out import noise_of_rows, row_scores
 from pmcl.criticism.fitting.quick_fit import GLANCE, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.fitting.starting_point import starting_point
@@ -36,6 +36,9 @@ _FEWEST_TELLING = 2
 # Noise of scores is not taken to be more than this many times that of independent rows: 1.0 to 1.7 were seen in halls
 # and rooms (50 passes of 1000 to 8000 particles).
 _MOST_UNDERSTATED = 2.0
+# The evidence of a mixture's weight by filters counts instead of that from draws, if it is greater by more than so many
+# standard deviations of the noise of both (chosen by hand).
+_BEYOND_NOISE = 3.0
 # Added to the diagonal of a covariance, in units of its own diagonal: a parameter that a short chain has not moved.
 _RIDGE = 1e-9
 
@@ -307,7 +310,14 @@ def _scored(
     if effect is None or trial.glanced:
         return trial
     nested = nested_evidence(fit, model.effects[-1], _free_parameters(model))
-    return trial if nested is None else replace(trial, evidence=nested.value, noise=nested.noise, nested=True)
+    if nested is None or (nested.of_weight and _exceeds(trial, nested)):
+        return trial
+    return replace(trial, evidence=nested.value, noise=nested.noise, nested=True)
+
+
+def _exceeds(trial: Trial, nested: NestedEvidence) -> bool:
+    """Return whether the filters' evidence is greater than that from draws, beyond the noise of both."""
+    return trial.evidence - nested.value > _BEYOND_NOISE * float(np.hypot(trial.noise, nested.noise))
 
 
 class _Scores(NamedTuple):
