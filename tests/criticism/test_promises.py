@@ -15,6 +15,7 @@ from pmcl.criticism.fitting.starting_point import gain_of_motion
 from pmcl.criticism.naming.promises import bounds_of
 from pmcl.criticism.scoring.lower_bounds import lower_bounds
 from pmcl.criticism.scoring.scores import ChangedDensity, directions_of, instance_key
+from pmcl.errors import ModelError
 from pmcl.filtering.particle_filter import draw_paths, draw_paths_beside, make_rng, run_filter
 from pmcl.models.effects.effect import Effect
 from pmcl.models.effects.registry import candidates
@@ -109,3 +110,19 @@ def test_the_motion_gains_by_a_sensor_at_its_true_place_alone():
     none, large = gains.values()
     assert abs(none) < 5.0
     assert large > 100.0
+
+
+def test_a_size_that_an_effect_cannot_have_is_passed_over():
+    """A user's effect may refuse a value; a smaller one still has its bound."""
+
+    def refuses(tables, values, log, where):
+        if abs(values[0]) > 0.15:
+            raise ModelError("too large")
+        return push_scale(tables, values, log, where)
+
+    log = rail_log(60, 4)
+    tables = rail_model().bind(log).tables(np.array([0.5, 0.4]))[0]
+    columns = np.zeros((1, tables.start.mean.size, 60))
+    (bound,) = lower_bounds(tables, log, columns, [replace(PUSH, change=refuses)])
+    assert np.isfinite(bound.evidence)
+    assert 0.0 < abs(bound.values[0]) < 0.15
