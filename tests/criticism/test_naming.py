@@ -15,7 +15,15 @@ from pmcl.criticism.fitting import trials
 from pmcl.criticism.fitting.held_out import RowScores, noise_of_rows
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
-from pmcl.criticism.naming.candidates import RankedEffect, in_order, of_carrier, of_sensors, twins_of, untried
+from pmcl.criticism.naming.candidates import (
+    RankedEffect,
+    in_order,
+    of_carrier,
+    of_sensors,
+    other_places,
+    twins_of,
+    untried,
+)
 from pmcl.criticism.naming.promises import promises, with_bounds
 from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome
@@ -97,6 +105,24 @@ def test_a_one_sided_candidate_is_ranked_by_how_far_it_is_above_simulated_logs()
     first = in_order(directions, promises(directions, judgement, unbounded(directions)))[0]
     assert first.effect.name == "range-noise-grows-with-range"
     assert first.z == 4.5
+
+
+def test_other_places_of_what_has_evidence_are_tried_unless_the_path_could_not_hide_it_there():
+    """The path absorbs a landmark that stands elsewhere, but no patch on which the robot slips."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    directions = directions_of(candidates(log))
+    patches = [k for k, one in enumerate(directions) if one.effect.name == "slippery-patch"]
+    promised = np.full(len(directions), -1.0)
+    promised[patches[-1]] = 0.5
+    offered = with_bounds(promised, promised, unbounded(directions))
+    tried = [
+        SimpleNamespace(effect=effect_named(name, log), evidence=evidence)
+        for name, evidence in (("landmark-moved", 20.0), ("slippery-patch", 20.0), ("landmark-misread", -1.0))
+    ]
+    places = [instance_key(one.effect) for one in other_places(tried, directions, offered)]
+    moved = {instance_key(one.effect) for one in directions if one.effect.name == "landmark-moved"}
+    assert set(places) == moved | {instance_key(directions[patches[-1]].effect)}
+    assert places[0][0] == "slippery-patch"  # what promises most comes first
 
 
 def test_what_has_no_score_is_worth_a_fit_where_the_path_can_absorb_it():
