@@ -90,3 +90,5 @@ def test_a_fit_of_another_effect_starts_near_none_on_the_path_as_it_is():
     assert path is fit.path
     assert 0.0 < above < effect.magnitude("clear")[0]
     assert below == -above
+    (given,), _ = starting_point(bound, fit, effect, 3.0, np.array([True]), np.array([-0.07]))
+    assert given == -0.07
