@@ -139,7 +139,7 @@ def _windows(task: Task, fit: Fit, added: Sequence[Effect]) -> list[Acting | Non
     seed = stream_seed(settings.seed, "windows of effects")
 
     def find(k: int) -> Acting | None:
-        return acting(fit, added[k], particles=settings.particles, seed=seed)
+        return acting(fit, added[k], seed=seed)
 
     return settings.mapped(find, "windows of effects", [effect.name for effect in added])
 

@@ -93,7 +93,7 @@ class LinearisedEvidence:
             reference = self.references[number]
             joint = check_density(log_joint(tables, reference), self.bound, theta, self.references)
             # The reference's own standardised deviations are -C[t]' k[t].
-            log_determinant, z = standardised(*self._linear_model(number, tables), reference, reference)
+            log_determinant, z = standardised(*self.linear_model(number, tables), reference, reference)
             if not math.isfinite(log_determinant):
                 return -math.inf
             value += joint - log_determinant + 0.5 * float(np.vdot(z, z))
@@ -121,7 +121,7 @@ class LinearisedEvidence:
         """
         reference = self.references[number]
         tables = self.bound.tables(theta)[number]
-        log_determinant, _, gain, centre = factorise(*self._linear_model(number, tables), reference)
+        log_determinant, _, gain, centre = factorise(*self.linear_model(number, tables), reference)
         if not math.isfinite(log_determinant):
             return reference
         size = reference.shape[1]
@@ -130,8 +130,16 @@ class LinearisedEvidence:
             deviation[t] += gains[t] @ deviation[t + 1]
         return np.asarray(reference + deviation)
 
-    def _linear_model(self, number: int, tables: Tables) -> tuple[Tables, tuple[object, ...]]:
-        """Return tables and linearised readings of one log, as the elimination takes them."""
+    def linear_model(self, number: int, tables: Tables) -> tuple[Tables, tuple[object, ...]]:
+        """Return tables and linearised readings of one log, as :func:`~.factorise` takes them.
+
+        Parameters
+        ----------
+        number : int
+            Which log.
+        tables : Tables
+            Coefficients of the log under some theta.
+        """
         reference = self.references[number]
         sensors: list[NamedTuple] = []
         readings: list[object] = []

@@ -18,14 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, polygamma
 
+from pmcl.filtering.heavy_tails import given_precisions, inverse_freedom, motion_between_seams
 from pmcl.filtering.kernels.linear import draw_precisions
-from pmcl.models.motions.joined.table import JoinedMotion, parts_of_joined
 from pmcl.models.tables import Tables
 
 __all__ = ["Precisions", "heavy_tailed"]
@@ -73,13 +72,13 @@ class Precisions:
         -------
         Precisions
         """
-        if not all(_tail(tables) > 0.0 for tables in all_tables):
+        if not all(inverse_freedom(tables) > 0.0 for tables in all_tables):
             return cls()
         logs, used = [], []
         for tables, path in zip(all_tables, paths, strict=True):
             precision, drawn = draw_precisions(tables, path, rng)
             # The tables may have more rows than the path.
-            further = _motion(tables).std.shape[0] - len(path)
+            further = motion_between_seams(tables).std.shape[0] - len(path)
             logs.append(np.pad(np.log(precision), ((0, further), (0, 0))))
             used.append(np.pad(drawn, (0, further)))
         return cls(tuple(logs), tuple(used))
@@ -88,7 +87,7 @@ class Precisions:
         """Return tables of the model given the precisions: its motion has Gaussian noise."""
         if not self.logs:
             return all_tables
-        return [_gaussian(*of_log) for of_log in zip(all_tables, self.logs, strict=True)]
+        return [given_precisions(*of_log) for of_log in zip(all_tables, self.logs, strict=True)]
 
     def following(self, old: Sequence[Tables], new: Sequence[Tables]) -> tuple[Precisions, float]:
         """Carry the precisions to other degrees of freedom: their logarithms keep their place in the distribution.
@@ -106,9 +105,10 @@ class Precisions:
         """
         carried, log_slope = [], 0.0
         for before, after, log, used in zip(old, new, self.logs, self.used, strict=True):
-            if not _tail(after) > 0.0:  # where no precision but one is possible
+            if not inverse_freedom(after) > 0.0:  # where no precision but one is possible
                 return self, -math.inf
-            (centre, spread), (new_centre, new_spread) = _of_logarithms(_tail(before)), _of_logarithms(_tail(after))
+            centre, spread = _of_logarithms(inverse_freedom(before))
+            new_centre, new_spread = _of_logarithms(inverse_freedom(after))
             carried.append(np.where(used[:, None], new_centre + new_spread / spread * (log - centre), 0.0))
             log_slope += 3 * np.count_nonzero(used) * math.log(new_spread / spread)
         return Precisions(tuple(carried), self.used), log_slope
@@ -117,26 +117,16 @@ class Precisions:
         """Return the log density of the precisions' logarithms under the model of the tables."""
         value = 0.0
         for tables, log, used in zip(all_tables, self.logs, self.used, strict=False):  # none where all are Gaussian
-            if not _tail(tables) > 0.0:
+            if not inverse_freedom(tables) > 0.0:
                 return -math.inf
-            shape, kept = 0.5 / _tail(tables), log[used]
+            shape, kept = 0.5 / inverse_freedom(tables), log[used]
             value += kept.size * _log_constant(shape) + shape * float((kept - np.expm1(kept)).sum())
         return value
 
 
 def heavy_tailed(tables: Tables) -> bool:
     """Return whether the motion's noise strays so far from a Gaussian that its precisions are worth drawing."""
-    return _tail(tables) > _HEAVY
-
-
-def _tail(tables: Tables) -> float:
-    """Return the inverse degrees of freedom of the motion's noise; 0 where it is Gaussian."""
-    return float(getattr(getattr(_motion(tables), "extras", None), "tail", 0.0))
-
-
-def _motion(tables: Tables) -> Any:
-    """Return the table of the motion between the seams of joined logs."""
-    return parts_of_joined(tables)[0].motion
+    return inverse_freedom(tables) > _HEAVY
 
 
 def _log_constant(shape: float) -> float:
@@ -150,13 +140,3 @@ def _of_logarithms(tail: float) -> tuple[float, float]:
     """Return mean and standard deviation of the logarithm of a precision, given the inverse degrees of freedom."""
     shape = 0.5 / tail
     return float(digamma(shape)) - math.log(shape), math.sqrt(float(polygamma(1, shape)))
-
-
-def _gaussian(tables: Tables, log_precision: Float) -> Tables:
-    """Return tables whose motion has Gaussian noise, with the precisions of each row."""
-    plain, seams = parts_of_joined(tables)
-    motion: Any = plain.motion
-    motion = motion._replace(
-        std=motion.std * np.exp(-0.5 * log_precision), extras=motion.extras._replace(tail=0.0)
-    )
-    return tables._replace(motion=motion if seams is None else JoinedMotion(motion, seams))

@@ -10,22 +10,27 @@ from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, Fit, quick_fit
+from pmcl.filtering.guided_filter import GuidedFilter
 from pmcl.filtering.not_a_number import parameters_told
-from pmcl.filtering.one_step_ahead import Predictions, pooled_increments, predict_by_passes
-from pmcl.filtering.particle_filter import make_rng, run_filter
+from pmcl.filtering.one_step_ahead import Predictions, predict_by_passes
+from pmcl.filtering.particle_filter import make_rng
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.formula import portable
 from pmcl.models.robot_model import BoundModel, RobotModel
 
 __all__ = [
-    "HELD_OUT_SHARE", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "noise_of_rows",
-    "predicted_log", "row_scores",
+    "HELD_OUT_SHARE", "PARTICLES", "Gap", "HeldOut", "RowScores", "bound_to_other", "gap_of", "held_out", "mixed_rows",
+    "noise_of_rows", "predicted_log", "row_scores",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
 
 HELD_OUT_SHARE = 0.4
 """Share of the rows, the last ones, on which gaps are shown; parameters are then fitted to the others only."""
+
+PARTICLES = 200
+"""Particles of a row in passes that score a log. Two passes have a noise of one to two nats where sonars read some
+hundred rows between walls, and of half a nat in a field of landmarks."""
 
 
 class Gap(NamedTuple):
@@ -65,13 +70,13 @@ class RowScores(NamedTuple):
     of_passes: Float
 
 
-def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, passes: int = 2) -> RowScores:
-    """Return the log predictive density of the readings of each row, mixed from independent filter passes.
+def row_scores(
+    bound: BoundModel, theta: Float, path: Float, *, particles: int = PARTICLES, seed: int, passes: int = 2
+) -> RowScores:
+    """Return log scores of the rows, which sum to the log evidence, from passes of a filter that a path guides.
 
-    The filter runs over the whole log and predicts each row from all rows before it. The caller decides which rows are
-    summed as held-out. The log of an estimate lies below the log of the density by half of its variance, on average:
-    use some thousand particles. Densities are averaged, not their logs: one pass that misses what is read at some row
-    would otherwise take more from a model than all other rows give.
+    Densities are averaged, not their logs: one pass that misses what is read at some row would otherwise take more from
+    a model than all other rows give.
 
     Parameters
     ----------
@@ -79,8 +84,10 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
         The model bound to one log.
     theta : ndarray, shape (d,)
         Its parameters.
+    path : ndarray, shape (T, D)
+        A path that explains the log under these parameters, or nearly does.
     particles : int
-        Particles of each pass.
+        Particles of each row in which most of them are effective.
     seed : int
         Determines all random numbers.
     passes : int
@@ -91,20 +98,25 @@ def row_scores(bound: BoundModel, theta: Float, *, particles: int, seed: int, pa
     RowScores
         The noise is that of rows which are independent of each other, from the differences of the passes.
 
+    See Also
+    --------
+    pmcl.filtering.guided_filter.GuidedFilter : What the score of a row is.
+
     Raises
     ------
     FilterError
-        When the filter loses the robot entirely.
+        When the path is impossible, or every particle that it leads to.
     DensityError
         When a density is not a number.
     """
-    tables, n_steps = bound.tables(theta)[0], bound.lengths[0]
     with parameters_told(bound, theta):
-        increments = np.array([
-            run_filter(tables, n_steps, particles, make_rng(np.random.SeedSequence((seed, k)))).log_increments
-            for k in range(passes)
-        ])
-    return RowScores(pooled_increments(increments), noise_of_rows(increments), increments)
+        increments = GuidedFilter(bound, theta, path).log_scores(particles, passes, seed)
+    return RowScores(mixed_rows(increments), noise_of_rows(increments), increments)
+
+
+def mixed_rows(increments: Float) -> Float:
+    """Return the logs of the mean densities of the rows, (T,), from those of each pass, (K, T) [nat]."""
+    return np.asarray(special.logsumexp(increments, axis=0) - np.log(increments.shape[0]))
 
 
 def noise_of_rows(increments: Float) -> float:

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.fitting.evidence import NestedEvidence, nested_evidence
-from pmcl.criticism.fitting.held_out import noise_of_rows, row_scores
+from pmcl.criticism.fitting.held_out import PARTICLES, mixed_rows, noise_of_rows, row_scores
 from pmcl.criticism.fitting.quick_fit import GLANCE, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.fitting.starting_point import starting_point
 from pmcl.errors import DensityError, PmclError
-from pmcl.filtering.one_step_ahead import pooled_increments
 from pmcl.filtering.paired_scores import Gain, paired_gain
 from pmcl.logs.robot_log import RobotLog
 from pmcl.models.effects.effect import Effect
@@ -33,9 +32,6 @@ Float = NDArray[np.float64]
 _PASSES_OF_CURRENT = 8
 # So many passes of a filter tell how much their scores differ.
 _FEWEST_TELLING = 2
-# Noise of scores is not taken to be more than this many times that of independent rows: 1.0 to 1.7 were seen in halls
-# and rooms (50 passes of 1000 to 8000 particles).
-_MOST_UNDERSTATED = 2.0
 # The evidence of a mixture's weight by filters counts instead of that from draws, if it is greater by more than so many
 # standard deviations of the noise of both (chosen by hand).
 _BEYOND_NOISE = 3.0
@@ -158,7 +154,7 @@ def try_effect(
     log: RobotLog,
     *,
     seed: int,
-    particles: int,
+    particles: int = PARTICLES,
     effort: Effort,
     at: Float | None = None,
 ) -> Trial | None:
@@ -206,7 +202,7 @@ def try_effect(
         return None
 
 
-def refitted(trial: Trial, current: Trial, *, seed: int, particles: int, effort: Effort) -> Trial:
+def refitted(trial: Trial, current: Trial, *, seed: int, particles: int = PARTICLES, effort: Effort) -> Trial:
     """Continue the fit of a trial, and score it again against the current model.
 
     Parameters
@@ -261,7 +257,7 @@ def scored_anew(trial: Trial, current: Trial, *, seed: int) -> Trial:
     )  # fmt: skip
 
 
-def trial_of_base(fit: Fit, *, seed: int, particles: int, passes: int = _PASSES_OF_CURRENT) -> Trial:
+def trial_of_base(fit: Fit, *, seed: int, particles: int = PARTICLES, passes: int = _PASSES_OF_CURRENT) -> Trial:
     """Score a fitted model, with which candidates are compared.
 
     Parameters
@@ -292,9 +288,9 @@ def _scored(
 ) -> Trial:
     """Return a fitted model as a trial; it is compared with itself when there is no current model."""
     passes = effort.passes if passes is None else passes
-    scores = row_scores(fit.bound, fit.theta, particles=particles, seed=seed, passes=passes)
+    scores = row_scores(fit.bound, fit.theta, fit.path, particles=particles, seed=seed, passes=passes)
     if current is None:
-        gain, evidence, noise = Gain(0.0, 0.0), 0.0, scores.noise * _understated(scores.of_passes)
+        gain, evidence, noise = Gain(0.0, 0.0), 0.0, scores.noise
     else:
         before = _as_often(current, passes)
         gain = paired_gain(scores.rows, before.rows, slice(None))
@@ -303,7 +299,6 @@ def _scored(
             # The log of an estimate lies below the log of what it estimates, by half of its variance on average.
             evidence += 0.5 * (scores.noise**2 - before.noise**2)
             noise = scores.noise
-        noise *= _understated(current.of_passes)
         # An additional parameter never makes the prior lose less; a chain that has not settled may seem to say so.
         evidence += min(log_prior_and_volume(fit) - log_prior_and_volume(current.fit), 0.0)
     trial = Trial(effect, model, fit, scores.rows, z, gain, evidence, noise, scores.of_passes, particles, effort)
@@ -336,23 +331,10 @@ def _as_often(current: Trial, passes: int) -> _Scores:
     known = current.of_passes
     together = min(passes, len(known))
     groups = [known[first : first + together] for first in range(0, len(known) - together + 1, together)]
-    rows = np.mean([pooled_increments(group) for group in groups], axis=0)
+    rows = np.mean([mixed_rows(group) for group in groups], axis=0)
     if together == 1:
         return _Scores(rows, noise_of_rows(known) * float(np.sqrt(len(known))))
     return _Scores(rows, float(np.sqrt(np.mean([noise_of_rows(group) ** 2 for group in groups]))))
-
-
-def _understated(of_passes: Float) -> float:
-    """Return how many times the noise of a score is what it would be if rows were independent of each other.
-
-    An unlucky pass loses in many rows. The sums of the passes show it, unless the filter is lost: then they show the
-    loss.
-    """
-    passes, as_if = len(of_passes), noise_of_rows(of_passes)
-    if not as_if > 0.0:  # also of a single pass, which cannot tell
-        return 1.0
-    spread = float(of_passes.sum(axis=1).std(ddof=1)) / np.sqrt(passes)
-    return float(np.clip(spread / as_if, 1.0, _MOST_UNDERSTATED))
 
 
 def _free_parameters(model: RobotModel) -> NDArray[np.bool_]:

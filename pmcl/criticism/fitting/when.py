@@ -173,7 +173,7 @@ def window_posterior(differences: Float) -> WindowPosterior:
     return WindowPosterior(throughout, onward, until, inside, points, first, last, multiple)
 
 
-def acting(fit: Fit, effect: Effect, *, particles: int, seed: int) -> Acting | None:
+def acting(fit: Fit, effect: Effect, *, seed: int) -> Acting | None:
     """Return when an effect acts, or None where it acts throughout.
 
     Parameters
@@ -182,8 +182,6 @@ def acting(fit: Fit, effect: Effect, *, particles: int, seed: int) -> Acting | N
         A fit of the model that has the effect to the whole log.
     effect : Effect
         The effect, one of ``fit.bound.effects``.
-    particles : int
-        Particles of the passes that score rows.
     seed : int
         Determines all random numbers.
 
@@ -198,14 +196,14 @@ def acting(fit: Fit, effect: Effect, *, particles: int, seed: int) -> Acting | N
     if not effect.may_begin or not strengths:
         return None
     try:
-        rows = _differences(fit.bound, fit.theta, strengths, particles=particles, seed=seed)
+        rows = _differences(fit.bound, fit.theta, fit.path, strengths, seed=seed)
         found = window_posterior(rows)
         if found.throughout > _LEAST_DOUBT or not _in_several_blocks(rows, found):
             return None
         inside = _fit_inside(fit, *_window(found, fit.bound.lengths[0]), seed=seed)
         if inside is None:
             return _as_times(found, fit.bound, {})
-        again = _differences(fit.bound, inside.theta, strengths, particles=particles, seed=seed)
+        again = _differences(fit.bound, inside.theta, fit.path, strengths, seed=seed)
         better = window_posterior(again)
         if better.throughout > _LEAST_DOUBT or not _in_several_blocks(again, better):
             return None
@@ -228,14 +226,12 @@ def _positions(bound: BoundModel, effect: Effect) -> dict[int, float]:
 
 
 def _differences(
-    bound: BoundModel, theta: Float, strengths: Mapping[int, float], *, particles: int, seed: int
+    bound: BoundModel, theta: Float, path: Float, strengths: Mapping[int, float], *, seed: int
 ) -> Float:
     """Return the log score of each row with multiples of the strengths less that without the effect, (M, T) [nat]."""
 
     def rows(multiple: float) -> Float:
-        return row_scores(
-            bound, _with_multiple(bound, theta, strengths, multiple), particles=particles, seed=seed
-        ).rows
+        return row_scores(bound, _with_multiple(bound, theta, strengths, multiple), path, seed=seed).rows
 
     without, differences = rows(0.0), []
     for multiple in _MULTIPLES:

@@ -56,7 +56,7 @@ def without_gross_errors(fit: Fit, sensors: Sequence[Part], refits: Refits, foll
         compile_for_criticism(bound.tables(theta)[0])
         plain = quick_fit(bound, stream_seed(settings.seed, "fit without gross errors"), theta=theta, path=fit.path)
         follow(plain)
-        current, without = (trial_of_base(one, seed=refits.seed, particles=settings.comparing) for one in (fit, plain))
+        current, without = (trial_of_base(one, seed=refits.seed) for one in (fit, plain))
     except FilterError:
         return Without(None, "without them the filter loses the robot")
     evidence = evidence_between(current, without)

@@ -48,7 +48,7 @@ class Refits:
 
     def base_trial(self, fit: Fit) -> Trial:
         """Score a fitted model, with which candidates are compared."""
-        return trial_of_base(fit, seed=self.seed, particles=self.settings.comparing)
+        return trial_of_base(fit, seed=self.seed)
 
     def glances(self, current: Trial, chosen: Sequence[RankedEffect]) -> list[Trial]:
         """Fit candidates at a glance; one that was fitted before is not fitted again.

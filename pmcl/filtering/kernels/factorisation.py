@@ -25,7 +25,7 @@ from pmcl.engine.compile import entry, kernel
 from pmcl.engine.contract import linearise_start, linearise_transition, state_size
 from pmcl.engine.sensor_tuples import sum_information
 
-__all__ = ["Factors", "eliminate", "factorise"]
+__all__ = ["Factors", "cholesky", "eliminate", "factorise", "solve"]
 
 Float = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Factors(NamedTuple):
 
 
 @kernel
-def _cholesky(a, c, size):
+def cholesky(a, c, size):
     """Write the Cholesky factor of the flat matrix `a` into `c`; return False if it is not positive definite."""
     for i in range(size):
         for j in range(i + 1):
@@ -64,7 +64,7 @@ def _cholesky(a, c, size):
 
 
 @kernel
-def _solve(c, inverse_diagonal, b, begin, stride, size):
+def solve(c, inverse_diagonal, b, begin, stride, size):
     """Replace the vector ``b[begin::stride]`` by (C C^T)^-1 b."""
     for i in range(size):
         value = b[begin + i * stride]
@@ -282,7 +282,7 @@ def _eliminate_any(tables, linear_readings, reference, path, begin, stop, factor
                         value += jacobian[k * size + i] * weighted[k * size + j]
                     information[i * size + j] = value
         c, k_t, centre_t = factors.factor[t], factors.gain[t], factors.centre[t]
-        if not _cholesky(information, c, size):
+        if not cholesky(information, c, size):
             return -np.inf
         determinant = 1.0
         for i in range(size):
@@ -290,13 +290,13 @@ def _eliminate_any(tables, linear_readings, reference, path, begin, stop, factor
             inverse_diagonal[i] = 1.0 / c[i * size + i]
             centre_t[i] = shift[i]
         log_determinant += math.log(determinant)
-        _solve(c, inverse_diagonal, centre_t, np.int64(0), np.int64(1), size)
+        solve(c, inverse_diagonal, centre_t, np.int64(0), np.int64(1), size)
         if inner:
             for i in range(size):
                 for j in range(size):
                     k_t[i * size + j] = weighted[j * size + i]
             for j in range(size):
-                _solve(c, inverse_diagonal, k_t, j, np.int64(size), size)
+                solve(c, inverse_diagonal, k_t, j, np.int64(size), size)
             # Marginalise d[t]: what remains is the information about d[t + 1].
             for i in range(size):
                 value = shifted[i]
