@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         path_reading_logpdf,
         path_transition_logpdf,
         propagate,
+        propagate_widely,
         reading_count,
         reading_exponent,
         reading_logpdf,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
         state_size,
         states_asked,
         transition_logpdf,
+        widens,
     )
     from pmcl.engine.residuals import GaussianSums, sum_of_squares, theta_logpdf
     from pmcl.engine.tables import Axes, NoExtras
@@ -74,6 +76,7 @@ __all__ = [
     "path_reading_logpdf",
     "path_transition_logpdf",
     "propagate",
+    "propagate_widely",
     "reading_count",
     "reading_exponent",
     "reading_logpdf",
@@ -86,6 +89,7 @@ __all__ = [
     "sum_of_squares",
     "theta_logpdf",
     "transition_logpdf",
+    "widens",
 ]
 
 _HOMES = {
@@ -102,6 +106,7 @@ _HOMES = {
     "path_reading_logpdf": "pmcl.engine.contract",
     "path_transition_logpdf": "pmcl.engine.contract",
     "propagate": "pmcl.engine.contract",
+    "propagate_widely": "pmcl.engine.contract",
     "reading_count": "pmcl.engine.contract",
     "reading_exponent": "pmcl.engine.contract",
     "reading_logpdf": "pmcl.engine.contract",
@@ -112,6 +117,7 @@ _HOMES = {
     "state_size": "pmcl.engine.contract",
     "states_asked": "pmcl.engine.contract",
     "transition_logpdf": "pmcl.engine.contract",
+    "widens": "pmcl.engine.contract",
     "GaussianSums": "pmcl.engine.residuals",
     "sum_of_squares": "pmcl.engine.residuals",
     "theta_logpdf": "pmcl.engine.residuals",

@@ -26,6 +26,7 @@ __all__ = [
     "path_reading_logpdf",
     "path_transition_logpdf",
     "propagate",
+    "propagate_widely",
     "reading_count",
     "reading_exponent",
     "reading_logpdf",
@@ -36,6 +37,7 @@ __all__ = [
     "state_size",
     "states_asked",
     "transition_logpdf",
+    "widens",
 ]
 
 # Marks states whose distribution function is not asked for. No probability, and nothing that unwritten memory holds.
@@ -65,6 +67,21 @@ def start_logpdf(start, current, logp):
 @generic
 def propagate(motion, t, rng, previous, current, scratch):
     """Draw states at time t into `current` (D, n) given the states at time t - 1 in `previous` (D, n)."""
+
+
+@generic
+def widens(motion):
+    """Return whether :func:`propagate_widely` draws states that weigh unequally. Optional, False by default."""
+
+
+@generic
+def propagate_widely(motion, t, rng, previous, current, log_weights, scratch):
+    """Draw states at time t so that rare steps are not left to chance, and weigh them.
+
+    Like :func:`propagate`, but from a wider distribution; the log of the transition density over that of this
+    distribution is added to `log_weights` (n,). Optional: by default it is the transition itself, and nothing is added.
+    Motion whose noise has heavy tails needs it: a filter would else have no particle where a step goes far astray.
+    """
 
 
 @generic
@@ -187,6 +204,16 @@ def states_asked(sensor):
 
     Few are enough for their mean. A sensor registers a number if they cost it much more than the density.
     """
+
+
+@widens.register(object)
+def _as_wide_as_noise(motion):
+    return False
+
+
+@propagate_widely.register(object)
+def _propagate_as_is(motion, t, rng, previous, current, log_weights, scratch):
+    propagate(motion, t, rng, previous, current, scratch)
 
 
 @draw_precision.register(object)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.compile import entry, kernel
-from pmcl.engine.contract import draw_start, propagate, scratch_rows, state_size
+from pmcl.engine.contract import draw_start, propagate, propagate_widely, scratch_rows, state_size, widens
 from pmcl.engine.sensor_tuples import any_reading, count_slots, most_rows
 from pmcl.filtering.kernels.resampling import Independent, draw_parents
 from pmcl.filtering.kernels.weighing import FINE, AllAtOnce, OneByOne, normalise, weigh
@@ -93,6 +93,8 @@ def forward(tables, rng, begin, stop, weighted, scheme, threshold, conditional, 
     # What resampling needs is no longer needed when a model uses its scratch space.
     weights, draft, work = arrays.scratch[0], arrays.scratch[1:3], arrays.scratch[1:]
     log_evidence, log_norm = 0.0, math.log(n)
+    # The path that conditional SMC follows is drawn by the transition alone.
+    widely = not conditional and widens(tables.motion)
     weight_sum = float(n)
     if weighted:
         status, greatest, weight_sum = normalise(log_weights[(begin - 1) % rows], weights)
@@ -123,15 +125,20 @@ def forward(tables, rng, begin, stop, weighted, scheme, threshold, conditional, 
             else:
                 for i in range(n):
                     parent[i] = i
-            propagate(tables.motion, t, rng, before, current, work)
             for i in range(n):
                 logw[i] = log_weights[(t - 1) % rows, i] if weighted else 0.0
+            if widely:
+                propagate_widely(tables.motion, t, rng, before, current, logw, work)
+            else:
+                propagate(tables.motion, t, rng, before, current, work)
         if conditional:
             for d in range(size):
                 current[d, 0] = path[t, d]
         steps[t, 0] = 0.0
-        if any_reading(tables.sensors, t):
+        read = any_reading(tables.sensors, t)
+        if read:
             weigh(record, tables.sensors, t, before, current, logw, weights, work)
+        if read or (widely and t > 0):
             status, greatest, weight_sum = normalise(logw, weights)
             if status != FINE:
                 return status, t, -np.inf, weighted

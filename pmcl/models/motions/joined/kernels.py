@@ -11,11 +11,13 @@ from pmcl.engine.contract import (
     linearise_transition,
     path_transition_logpdf,
     propagate,
+    propagate_widely,
     scratch_rows,
     start_logpdf,
     state_of_deviation,
     state_size,
     transition_logpdf,
+    widens,
 )
 from pmcl.models.motions.joined.table import JoinedMotion
 from pmcl.models.starts.table import GaussianStart, PoseStart, WiderStart
@@ -73,6 +75,20 @@ def _propagate(motion, t, rng, previous, current, scratch):
     k = seam_at(motion.seams, t)
     if k < 0:
         propagate(motion.motion, t, rng, previous, current, scratch)
+    else:
+        draw_start(belief_at(motion.seams.start, motion.seams, k), rng, current)
+
+
+@widens.register(JoinedMotion)
+def _widens(motion):
+    return widens(motion.motion)
+
+
+@propagate_widely.register(JoinedMotion)
+def _propagate_widely(motion, t, rng, previous, current, log_weights, scratch):
+    k = seam_at(motion.seams, t)
+    if k < 0:
+        propagate_widely(motion.motion, t, rng, previous, current, log_weights, scratch)
     else:
         draw_start(belief_at(motion.seams.start, motion.seams, k), rng, current)
 
