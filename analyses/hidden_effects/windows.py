@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "criticis
 from windowed_logs import SIGHTS, SONAR, unwrapped, windowed
 
 RESULTS = Path(__file__).parent / "windows.csv"
-ROWS, PARTICLES = 300, 500
+ROWS = 300
 ROOM = (
     "beam-bias@2", "range-bias", "range-scale", "short-readings", "odometry-turn-scale", "odometry-turn-bias",
     "wheel-slip", "sensor-yaw", "heavy-tailed-range-noise", "odometry-forward-scale", "beam-yaw@5", "dead-beam@1",
@@ -70,7 +70,7 @@ def measured(place: str, text: str, first: int, last: int, seed: int) -> dict[st
         start[k] = effect.null[k] + max((last - first) / ROWS, 0.2) * (start[k] - effect.null[k])
     theta = np.array([*(noise[name] for name in bound.names[: bound.dimension - start.size]), *start])
     fit = quick_fit(bound, seed + 1, theta=theta, path=unwrapped(log.true_poses), effort=BRIEF)
-    return row_of(place, text, first, last, seed, values, acting(fit, bound.effects[0], particles=PARTICLES, seed=7))
+    return row_of(place, text, first, last, seed, values, acting(fit, bound.effects[0], seed=7))
 
 
 def row_of(place, text, first, last, seed, values, acts) -> dict[str, object]:

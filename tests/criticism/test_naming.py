@@ -12,7 +12,7 @@ from scipy import stats
 
 from pmcl.criticism.findings.parts import FoundEffect
 from pmcl.criticism.fitting import trials
-from pmcl.criticism.fitting.held_out import RowScores, noise_of_rows
+from pmcl.criticism.fitting.held_out import RowScores, mixed_rows, noise_of_rows
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH, quick_fit
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
 from pmcl.criticism.naming.candidates import (
@@ -29,7 +29,6 @@ from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome
 from pmcl.criticism.scoring.lower_bounds import LowerBound
 from pmcl.criticism.scoring.scores import directions_of, instance_key
-from pmcl.filtering.one_step_ahead import pooled_increments
 from pmcl.filtering.paired_scores import Gain
 from pmcl.models.effects.registry import candidates
 from pmcl.models.effects.selection import effect_named
@@ -184,7 +183,7 @@ def test_what_the_evidence_of_a_trial_is_made_of(strength, monkeypatch, rng):
         assert lost < -1.0
         # The current model counts as scored by two passes, too.
         pairs = [passes[base][k : k + 2] for k in (0, 2, 4, 6)]
-        before = np.mean([pooled_increments(pair) for pair in pairs], axis=0)
+        before = np.mean([mixed_rows(pair) for pair in pairs], axis=0)
         variance = np.mean([noise_of_rows(pair) ** 2 for pair in pairs])
         expected = (rows[more] - before).sum() + 0.5 * (2.0**2 - variance) + lost
     assert trial.evidence == pytest.approx(expected)
@@ -193,10 +192,10 @@ def test_what_the_evidence_of_a_trial_is_made_of(strength, monkeypatch, rng):
 def filtered(variance, rng):
     """Scores by a filter: the log of an unbiased estimate of each row's density; more particles, less variance."""
 
-    def row_scores(bound, theta, *, particles, seed, passes=2):
+    def row_scores(bound, theta, path, *, particles, seed, passes=2):
         of_row = variance[bound] / particles
         increments = rng.normal(-0.5 * of_row, math.sqrt(of_row), (passes, bound.lengths[0]))
-        return RowScores(pooled_increments(increments), noise_of_rows(increments), increments)
+        return RowScores(mixed_rows(increments), noise_of_rows(increments), increments)
 
     return row_scores
 
@@ -226,17 +225,6 @@ def test_few_passes_speak_neither_for_nor_against_an_effect(effort, finer, monke
     if not finer:
         against = np.array([one.row_scores.sum() for one in found]).mean()
         assert against < -5.0
-
-
-def test_sums_of_passes_tell_noise_that_lasts(rng):
-    """An unlucky pass loses in many rows; a lost filter must not make everything uncertain."""
-    independent = rng.normal(0.0, 0.1, (8, 200))
-    assert trials._understated(independent) == pytest.approx(1.0, abs=0.6)
-    unlucky = independent + np.linspace(-0.02, 0.02, 8)[:, None]
-    assert trials._understated(unlucky) > 1.5
-    lost = independent + np.linspace(-50.0, 0.0, 8)[:, None]
-    assert trials._understated(lost) == 2.0
-    assert trials._understated(independent[:1]) == 1.0
 
 
 def test_the_largest_block_of_a_gain_is_bounded():

@@ -421,6 +421,7 @@ def test_a_sensor_that_is_trusted_less_explains_no_lost_robot_if_the_motion_does
     monkeypatch.setattr(refitting, "base_trial", lambda fit: base)
     monkeypatch.setattr(refitting, "glances", glances)
     monkeypatch.setattr(refitting, "longer", lambda current, trials, effort: trials)
+    monkeypatch.setattr(lost_robot, "_along_a_better_path", lambda *_: None)
     outcome = lost_robot.recover(fit, directions_of(candidates(log)), refitting, follow)
     assert (outcome is not None) is named
     assert follows == [*(["heavy-tailed-motion-noise"] if motion else []), *(["landmark-misread"] if named else [])]
@@ -450,19 +451,38 @@ def test_a_near_twin_of_what_lets_the_filter_follow_competes_with_it(monkeypatch
     monkeypatch.setattr(refitting, "base_trial", lambda fit: trial_of(None, rows=np.zeros(log.n_steps)))
     monkeypatch.setattr(refitting, "glances", glances)
     monkeypatch.setattr(refitting, "longer", lambda current, trials, effort: trials)
+    monkeypatch.setattr(lost_robot, "_along_a_better_path", lambda *_: None)
     outcome = lost_robot.recover(fit, directions_of(candidates(log)), refitting, follow)
     assert outcome.accepted.effect.name == ("odometry-side-drift" if lost else name)
     assert [one.effect.name for one in outcome.twins] == ([] if lost else told)
 
 
-def test_where_the_filter_is_lost_an_effect_must_gain_nearly_everywhere(rng):
-    """What is only lucky where the robot is lost may gain more in all, and more than its standard error."""
-    base, noise = rng.normal(0.0, 1.0, 600), rng.normal(0.0, 1.0, 600)
-    lucky, true = base + noise, base + noise + 1.0
-    lucky[[100, 200, 400, 500]] += 300.0
-    current = trial_of(None, rows=base)
-    assert not lost_robot._gains_everywhere(trial_of(None, rows=lucky), current)
-    assert lost_robot._gains_everywhere(trial_of(None, rows=true), current)
+@pytest.mark.parametrize(("evidence", "chosen"), [((90.0, 119.0, 118.0), None), ((90.0, 150.0, 121.0), 1)])
+def test_a_chain_that_has_lost_the_robot_starts_again_along_the_best_filters_path(monkeypatch, evidence, chosen):
+    """The current model has 100 nats; a filter with one more effect must explain the log far better."""
+    log = simulate_landmark_field(60, 1, bearings=True)
+    fit = quick_fit(default_model(log).bind(log), 1, effort=GLANCE)
+    current = replace(trial_of(None, rows=np.full(60, 100.0 / 60)), fit=fit, model=fit.bound.model)
+    names = ("odometry-arc", "wheel-slip", "heavy-tailed-motion-noise")
+    offered, ran, fitted = [search.RankedEffect(effect_named(name, log), 1.0) for name in names], [], []
+
+    def run_filter(tables, n_steps, particles, rng):
+        ran.append(particles)
+        if len(ran) == 4:
+            raise FilterError("lost")
+        return SimpleNamespace(log_evidence=evidence[len(ran) - 1], number=len(ran) - 1)
+
+    def fit_again(bound, seed, *, theta, path):
+        fitted.append((bound, path))
+        return "another fit"
+
+    monkeypatch.setattr(lost_robot, "run_filter", run_filter)
+    monkeypatch.setattr(lost_robot, "draw_paths", lambda tables, filtered, n, rng: [f"path {filtered.number}"])
+    monkeypatch.setattr(lost_robot, "quick_fit", fit_again)
+    found = lost_robot._along_a_better_path(current, [*offered, offered[0]], SETTINGS)
+    assert ran == 4 * [SETTINGS.comparing]
+    assert found == (None if chosen is None else "another fit")
+    assert fitted == ([] if chosen is None else [(fit.bound, f"path {chosen}")])
 
 
 @pytest.mark.slow

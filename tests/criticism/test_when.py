@@ -110,7 +110,7 @@ def fitted(text, first, last, seed=3, rows=240):
 @pytest.mark.parametrize(("first", "last"), [(100, 240), (0, 240)])
 def test_an_effect_that_begins_has_an_onset_and_a_lasting_one_has_none(first, last):
     fit, effect = fitted("landmark-range-bias=0.2", first, last)
-    acts = acting(fit, effect, particles=500, seed=1)
+    acts = acting(fit, effect, seed=1)
     if first == 0:
         assert acts is None
         return
