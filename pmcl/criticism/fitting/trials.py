@@ -35,6 +35,9 @@ _FEWEST_TELLING = 2
 # The evidence of a mixture's weight by filters counts instead of that from draws, if it is greater by more than so many
 # standard deviations of the noise of both (chosen by hand).
 _BEYOND_NOISE = 3.0
+# Draws of a short chain that tell as much about its spread as an independent one: with this number, log volumes after a
+# glance, a brief and a thorough fit agree to a nat on average (24 fits of analyses/hidden_effects, block 105).
+_DRAWS_PER_INDEPENDENT = 2.5
 # Added to the diagonal of a covariance, in units of its own diagonal: a parameter that a short chain has not moved.
 _RIDGE = 1e-9
 
@@ -123,12 +126,28 @@ def log_prior_and_volume(fit: Fit) -> float:
         Log density of the prior at the mean of the draws, plus the log volume of a normal with their covariance. It is
         about zero for parameters of which the log tells nothing, and negative for what it determines: Occam's factor.
         MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28.
+
+    Notes
+    -----
+    The covariance of few draws spans too small a volume on average. What it lacks is added: for six parameters, 3.5
+    nats after a glance and 0.6 after a brief fit.
     """
     covariance = np.atleast_2d(np.cov(fit.draws.T))
     scale = np.sqrt(np.diag(covariance)) + 1e-12
     correlation = covariance / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
     log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * correlation)[1] + np.log(scale).sum()
-    return float(fit.bound.log_prior(fit.theta) + log_volume)
+    return float(fit.bound.log_prior(fit.theta) + log_volume + _missing_volume(len(fit.draws), scale.size))
+
+
+def _missing_volume(draws: int, size: int) -> float:
+    """Return by how much the log volume of the covariance of few draws is too small on average [nat].
+
+    From the expected log determinant of a Wishart matrix of `size` dimensions.
+    """
+    independent = max(draws / _DRAWS_PER_INDEPENDENT, size + 1.0)
+    freedom = independent - 1.0
+    expected = special.digamma(0.5 * (independent - np.arange(1, size + 1))) - np.log(0.5 * freedom)
+    return float(-0.5 * expected.sum())
 
 
 def evidence_between(trial: Trial, without: Trial) -> float:

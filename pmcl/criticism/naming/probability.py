@@ -43,10 +43,10 @@ have the rest of it is worth a longer fit."""
 LEAST_LISTED = 0.01
 """Explanations below this probability are not listed."""
 # What the length of a fit adds to the noise of an evidence: a standard deviation [nat], and a share of the evidence,
-# because a short chain leaves in the path what the path can absorb. Differences between a glance and a thorough fit of
-# 50 effects on twelve logs of analyses/hidden_effects (block 95): -6 nats on average, with a standard deviation of 9;
-# at 500 to 1800 nats 1 to 3 %.
-_FIT_NOISE = {GLANCE: (8.0, 0.02), BRIEF: (1.0, 0.02), THOROUGH: (0.0, 0.0)}
+# because a short chain leaves in the path what the path can absorb. Sixty fits of ten logs of analyses/hidden_effects
+# (block 105), each continued twice: a brief fit differs from a thorough one by less than a nat up to 9000 nats, and two
+# thorough ones by as much; a glance by 2 nats, or by 2 to 8 % above 200 nats.
+_FIT_NOISE = {GLANCE: (3.0, 0.04), BRIEF: (1.0, 0.005), THOROUGH: (0.7, 0.0)}
 # Draws of the noise over which probabilities are averaged; their own error is then below a per cent.
 _NOISE_DRAWS = 4000
 _UNKNOWN = "unknown effect"
