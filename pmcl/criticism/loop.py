@@ -25,7 +25,7 @@ from pmcl.criticism.naming.lost_robot import Recovery
 from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
 from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome, Search
-from pmcl.criticism.settings import FINER, Settings
+from pmcl.criticism.settings import Settings
 from pmcl.criticism.state import Loss, State, Task
 from pmcl.errors import FilterError
 from pmcl.filtering.ahead import compile_for_criticism
@@ -205,9 +205,7 @@ class Loop:
         )
         if not note:
             return ()
-        # Comparisons take most of the time then, and are less noisy than those with fewer particles.
-        finer = FINER if particles < 4 * self.settings.particles else FINER // 2
-        self.search.use_particles(particles, finer)
+        self.search.use_particles(particles)
         return (note,)
 
     def _tell_name(self, outcome: Outcome) -> None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pmcl.criticism.progress import Progress
 from pmcl.logs.robot_log import RobotLog
 
-__all__ = ["FINER", "Settings"]
+__all__ = ["Settings"]
 
-# Chosen by hand: log scores of 500 particles have a standard deviation of some 8 nats, which four times as many halve.
-FINER = 4
-"""Comparisons of log scores use this many times the particles of a scored pass."""
+# Held-out rows are predicted with so many times the particles of a scored pass: log scores of 500 particles have a
+# standard deviation of some 8 nats, which four times as many halve (chosen by hand).
+_FINER = 4
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Settings:
     particles, seed, level, simulations, paths, workers, progress
         As in :func:`pmcl.criticism.workflow.criticize`.
     finer : int
-        Comparisons of log scores use this many times the particles of a scored pass.
+        Held-out rows are predicted with so many times the particles of a scored pass.
     statistics : tuple of :class:`~pmcl.criticism.scoring.statistics.Statistic`
         Statistics of the user's own, which become alarms.
     reporter : Progress
@@ -40,14 +40,24 @@ class Settings:
     paths: int
     workers: int
     progress: bool
-    finer: int = FINER
+    finer: int = _FINER
     statistics: tuple[Any, ...] = ()
     reporter: Progress = field(default_factory=Progress, compare=False, repr=False)
 
     @property
     def comparing(self) -> int:
-        """Particles for comparisons of log scores, whose error must stay below some nats."""
+        """Particles of the passes that predict held-out rows."""
         return self.finer * self.particles
+
+    def with_particles(self, particles: int) -> Settings:
+        """Return settings with another number of particles of a scored pass; held-out rows keep theirs if it is more.
+
+        Parameters
+        ----------
+        particles : int
+            The number.
+        """
+        return replace(self, particles=particles, finer=max(1, self.comparing // particles))
 
     def tell(self, message: str, doing: str = "") -> None:
         """Report a step of the run if the user asked for progress.

@@ -74,7 +74,7 @@ def criticize(
         Statistics of your own, which become alarms; when left out, those in use
         (:func:`pmcl.criticism.scoring.statistics.use_statistics`).
     particles : int
-        Particles of scored passes; comparisons of log scores use four times as many.
+        Particles of scored passes; held-out rows are predicted with four times as many.
     seed : int
         Determines all random numbers.
     level : float

@@ -32,10 +32,10 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 SETTINGS = Settings(particles=100, seed=1, level=0.05, simulations=20, paths=5, workers=1, progress=False)
 
 
-def trial_of(effect, evidence=0.0, effort=GLANCE, particles=400, rows=None, noise=0.3):
+def trial_of(effect, evidence=0.0, effort=GLANCE, rows=None, noise=0.3):
     """A trial with so much evidence, from many blocks of rows."""
     rows = np.zeros(60) if rows is None else rows
-    return Trial(effect, None, None, rows, 1.0, Gain(evidence, 1.0), evidence, noise, rows[None], particles, effort)
+    return Trial(effect, None, None, rows, 1.0, Gain(evidence, 1.0), evidence, noise, rows[None], effort)
 
 
 class Case:
@@ -67,14 +67,8 @@ class Case:
             self.done.append((trial.effect.name, "brief" if effort == BRIEF else "thorough"))
             return replace(trial, effort=effort)
 
-        def scored(trial, current, **settings):
-            self.done.append((trial.effect.name, "finer"))
-            return replace(trial, particles=current.particles)
-
         monkeypatch.setattr(refits, "try_effect", tried)
         monkeypatch.setattr(refits, "refitted", refitted)
-        monkeypatch.setattr(refits, "scored_anew", scored)
-        monkeypatch.setattr(refits, "trial_of_base", lambda fit, *, particles, **_: trial_of(None, particles=particles))
         monkeypatch.setattr(search, "remarkable_formulas", lambda *_: offered)
 
     def explain(self, further=True):
@@ -102,10 +96,9 @@ def test_what_explains_the_log_ends_the_search_and_only_it_gets_a_long_fit(monke
     assert case.names("glance")[0] == "landmark-misread"
     # One batch, and what looks like the answer.
     assert len(case.names("glance")) < search._BATCH + 6
-    assert not case.names("finer")
 
 
-def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_more_particles(monkeypatch):
+def test_a_near_twin_without_a_score_shares_the_answer(monkeypatch):
     monkeypatch.setattr(search, "_BATCH", 1)
     # To a log of landmarks alone, a turned camera and a bearing bias are one effect.
     alike = {"odometry-side-drift", "sensor-yaw", "bearing-bias"}
@@ -114,25 +107,11 @@ def test_a_near_twin_without_a_score_shares_the_answer_and_both_are_scored_with_
     outcome = case.explain()
     assert {outcome.found.name, *outcome.found.not_distinguishable_from} == alike
     assert set(case.names("thorough")) == alike
-    assert set(case.names("finer")) == alike
     # By its score alone the twin would not have been tried: another effect explains the log.
     alone = Case(monkeypatch, gains(landmark_misread=60.0, sensor_yaw=60.0), {"landmark-misread": 7.0})
     alone.explain()
     assert "sensor-yaw" not in alone.names("glance")
     assert outcome.found.probability + sum(one.probability for one in outcome.found.alternatives) > 0.98
-
-
-@pytest.mark.parametrize(("other", "finer"), [("sensor-yaw", True), ("odometry-arc", False)])
-def test_a_near_twin_with_some_probability_is_scored_with_more_particles_too(monkeypatch, other, finer):
-    """Three nats decide that only one of two is told; near twins are compared anew before that is said."""
-    case = Case(
-        monkeypatch, gains(odometry_side_drift=60.0, bearing_bias=40.0, **{other.replace("-", "_"): 57.0}),
-        {"odometry-side-drift": 7.0, other: 6.9},
-    )  # fmt: skip
-    outcome = case.explain()
-    assert outcome.found.name == "odometry-side-drift"
-    assert 0.01 < outcome.probable.of(effect_named(other, case.log)) < 0.1
-    assert set(case.names("finer")) == ({"odometry-side-drift", other, "bearing-bias"} if finer else set())
 
 
 def test_what_becomes_the_answer_by_a_longer_fit_of_another_is_fitted_thoroughly_too(monkeypatch):
@@ -560,26 +539,3 @@ def test_an_effect_is_told_beside_something_unknown_if_it_is_clear_and_alarms_st
     assert case.search.beside_something_unknown(case.last, current, outcome) is outcome
     empty = outcome._replace(trials=[], probable=Explanations(0.0, 1.0, (), ()))
     assert case.search.beside_something_unknown(case.last, current, empty) is empty
-
-
-def test_what_noise_may_have_hidden_is_scored_with_more_particles_before_others_are_tried(monkeypatch):
-    """An effect of ten nats that was scored with a noise of four nats, and an unlucky one."""
-    case = Case(monkeypatch, gains(odometry_turn_scale=4.0), {"odometry-turn-scale": 5.0}, p_value=1e-5)
-    unlucky, lucky = refits.try_effect, refits.scored_anew
-    monkeypatch.setattr(refits, "try_effect", lambda *args, **kws: replace(unlucky(*args, **kws), noise=4.0))
-
-    def scored_anew(trial, current, **settings):
-        evidence = 14.0 if trial.effect.name == "odometry-turn-scale" else trial.evidence
-        return replace(lucky(trial, current, **settings), evidence=evidence, noise=0.5)
-
-    monkeypatch.setattr(refits, "scored_anew", scored_anew)
-    outcome = case.explain()
-    assert outcome.accepted.effect.name == "odometry-turn-scale"
-    assert case.names("finer")[0] == "odometry-turn-scale"
-    assert outcome.accepted.particles == search._FINER * 400
-    assert len(case.names("glance")) < search._BATCH + 6
-    # Without noise there is no doubt, and all others are tried.
-    sure = Case(monkeypatch, gains(odometry_turn_scale=4.0), {"odometry-turn-scale": 5.0}, p_value=1e-5)
-    assert sure.explain().accepted is None
-    assert not sure.names("finer")
-    assert len(sure.names("glance")) > search._BATCH + 6

@@ -60,7 +60,7 @@ class Effort(NamedTuple):
     rounds: tuple[int, ...]
     draws: int
     particles: int
-    passes: int = 2
+    passes: int = 4
     continued: int = 3
 
 

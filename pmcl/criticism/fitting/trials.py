@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from pmcl.criticism.fitting.evidence import NestedEvidence, nested_evidence
-from pmcl.criticism.fitting.held_out import PARTICLES, mixed_rows, noise_of_rows, row_scores
+from pmcl.criticism.fitting.held_out import mixed_rows, noise_of_rows, row_scores
 from pmcl.criticism.fitting.quick_fit import GLANCE, THOROUGH, Effort, Fit, quick_fit
 from pmcl.criticism.fitting.starting_point import starting_point
 from pmcl.errors import DensityError, PmclError
@@ -21,17 +21,14 @@ from pmcl.models.effects.effect import Effect
 from pmcl.models.robot_model import RobotModel
 
 __all__ = [
-    "Trial", "effect_of", "evidence_between", "log_prior_and_volume", "refitted", "scored_anew", "trial_of_base",
-    "try_effect",
+    "Trial", "effect_of", "evidence_between", "log_prior_and_volume", "refitted", "trial_of_base", "try_effect",
 ]  # fmt: skip
 
 _logger = logging.getLogger("pmcl.criticism")
 Float = NDArray[np.float64]
 
-# All gains are over the current model, which is therefore scored by so many passes of the filter.
+# Gains are all over the current model, which is therefore scored by so many passes of the filter.
 _PASSES_OF_CURRENT = 8
-# So many passes of a filter tell how much their scores differ.
-_FEWEST_TELLING = 2
 # The evidence of a mixture's weight by filters counts instead of that from draws, if it is greater by more than so many
 # standard deviations of the noise of both (chosen by hand).
 _BEYOND_NOISE = 3.0
@@ -59,18 +56,15 @@ class Trial:
     z : float
         Standardised score of its effect.
     gain : Gain
-        Gain of its row scores over those that the current model has from as many particles.
+        Gain of its row scores over those of the current model.
     evidence : float
         Its log evidence less that of the current model [nat]: from its draws where these come near no effect
         (:func:`pmcl.criticism.fitting.evidence.nested_evidence`), else from the gain, whose largest block of rows is
         bounded (:func:`log_prior_and_volume`).
     noise : float
-        Standard deviation of its evidence: from its draws, or because the particles that scored it are random [nat]. A
-        single pass cannot tell the latter; it then has the noise of one pass of the current model.
+        Standard deviation of its evidence: from its draws, or because the particles that scored it are random [nat].
     of_passes : ndarray, shape (K, T)
         Log scores of the rows by each pass of the filter [nat].
-    particles : int
-        Particles of the filter that scored the rows.
     effort : Effort
         Length of the fit.
     nested : bool
@@ -86,7 +80,6 @@ class Trial:
     evidence: float
     noise: float
     of_passes: Float
-    particles: int
     effort: Effort = THOROUGH
     nested: bool = False
 
@@ -156,13 +149,9 @@ def evidence_between(trial: Trial, without: Trial) -> float:
     Parameters
     ----------
     trial, without : Trial
-        The models, scored with as many particles; the latter by at least as many passes.
+        The models, fitted and scored.
     """
-    passes = len(trial.of_passes)
-    before = _as_often(without, passes)
-    gain = float(trial.row_scores.sum() - before.rows.sum())
-    if passes > 1:
-        gain += 0.5 * (noise_of_rows(trial.of_passes) ** 2 - before.noise**2)
+    gain = _score(trial.of_passes, without) - _score(without.of_passes, without)
     return gain + log_prior_and_volume(trial.fit) - log_prior_and_volume(without.fit)
 
 
@@ -173,7 +162,6 @@ def try_effect(
     log: RobotLog,
     *,
     seed: int,
-    particles: int = PARTICLES,
     effort: Effort,
     at: Float | None = None,
 ) -> Trial | None:
@@ -191,8 +179,6 @@ def try_effect(
         The log.
     seed : int
         Determines all random numbers.
-    particles : int
-        Particles of the filter that scores the rows.
     effort : Effort
         Length of the fit.
     at : ndarray, shape (k,), optional
@@ -213,7 +199,7 @@ def try_effect(
         values, path = starting_point(bound, current.fit, effect, z, free, at)
         theta = np.concatenate([current.fit.theta, values[free]])
         fitted = quick_fit(bound, seed, theta=theta, path=path, effort=effort)
-        return _scored(effect, model, fitted, z, current, seed=seed, particles=particles, effort=effort)
+        return _scored(effect, model, fitted, z, current, seed=seed, effort=effort)
     except DensityError:
         raise
     except PmclError as error:
@@ -221,7 +207,7 @@ def try_effect(
         return None
 
 
-def refitted(trial: Trial, current: Trial, *, seed: int, particles: int = PARTICLES, effort: Effort) -> Trial:
+def refitted(trial: Trial, current: Trial, *, seed: int, effort: Effort) -> Trial:
     """Continue the fit of a trial, and score it again against the current model.
 
     Parameters
@@ -230,7 +216,7 @@ def refitted(trial: Trial, current: Trial, *, seed: int, particles: int = PARTIC
         The trial.
     current : Trial
         The current model.
-    seed, particles, effort
+    seed, effort
         As for :func:`try_effect`.
 
     Returns
@@ -244,7 +230,7 @@ def refitted(trial: Trial, current: Trial, *, seed: int, particles: int = PARTIC
             before.bound, seed, theta=before.theta, path=before.path, draws=before.draws, effort=effort
         )
         return _scored(
-            trial.effect, trial.model, fitted, trial.z, current, seed=seed, particles=particles, effort=effort
+            trial.effect, trial.model, fitted, trial.z, current, seed=seed, effort=effort
         )
     except DensityError:
         raise
@@ -253,44 +239,17 @@ def refitted(trial: Trial, current: Trial, *, seed: int, particles: int = PARTIC
         return replace(trial, effort=effort)
 
 
-def scored_anew(trial: Trial, current: Trial, *, seed: int) -> Trial:
-    """Score a trial with its present fit against a current model that was scored with another number of particles.
-
-    Parameters
-    ----------
-    trial : Trial
-        The trial.
-    current : Trial
-        The current model, whose number of particles is used.
-    seed : int
-        Determines all random numbers.
-
-    Returns
-    -------
-    Trial
-        From several passes, which tell their noise.
-    """
-    return _scored(
-        trial.effect, trial.model, trial.fit, trial.z, current, seed=seed, particles=current.particles,
-        effort=trial.effort, passes=max(trial.effort.passes, _FEWEST_TELLING),
-    )  # fmt: skip
-
-
-def trial_of_base(fit: Fit, *, seed: int, particles: int = PARTICLES, passes: int = _PASSES_OF_CURRENT) -> Trial:
+def trial_of_base(fit: Fit, *, seed: int) -> Trial:
     """Score a fitted model, with which candidates are compared.
 
     Parameters
     ----------
     fit : Fit
         The fit.
-    seed, particles
+    seed : int
         As for :func:`try_effect`.
-    passes : int
-        Passes of the filter.
     """
-    return _scored(
-        None, fit.bound.model, fit, 0.0, None, seed=seed, particles=particles, effort=THOROUGH, passes=passes
-    )
+    return _scored(None, fit.bound.model, fit, 0.0, None, seed=seed, effort=THOROUGH)
 
 
 def _scored(
@@ -301,26 +260,21 @@ def _scored(
     current: Trial | None,
     *,
     seed: int,
-    particles: int,
     effort: Effort,
-    passes: int | None = None,
 ) -> Trial:
     """Return a fitted model as a trial; it is compared with itself when there is no current model."""
-    passes = effort.passes if passes is None else passes
-    scores = row_scores(fit.bound, fit.theta, fit.path, particles=particles, seed=seed, passes=passes)
+    passes = _PASSES_OF_CURRENT if current is None else effort.passes
+    scores = row_scores(fit.bound, fit.theta, fit.path, seed=seed, passes=passes)
+    trial = Trial(
+        effect, model, fit, scores.rows, z, Gain(0.0, 0.0), 0.0, scores.noise, scores.of_passes, effort
+    )  # fmt: skip
     if current is None:
-        gain, evidence, noise = Gain(0.0, 0.0), 0.0, scores.noise
-    else:
-        before = _as_often(current, passes)
-        gain = paired_gain(scores.rows, before.rows, slice(None))
-        evidence, noise = gain.bounded, before.noise
-        if passes > 1:
-            # The log of an estimate lies below the log of what it estimates, by half of its variance on average.
-            evidence += 0.5 * (scores.noise**2 - before.noise**2)
-            noise = scores.noise
-        # An additional parameter never makes the prior lose less; a chain that has not settled may seem to say so.
-        evidence += min(log_prior_and_volume(fit) - log_prior_and_volume(current.fit), 0.0)
-    trial = Trial(effect, model, fit, scores.rows, z, gain, evidence, noise, scores.of_passes, particles, effort)
+        return trial
+    gain = paired_gain(scores.rows, current.row_scores, slice(None))
+    evidence = gain.bounded + _bias(current.of_passes, current) - _bias(scores.of_passes, current)
+    # An additional parameter never makes the prior lose less; a chain that has not settled may seem to say so.
+    evidence += min(log_prior_and_volume(fit) - log_prior_and_volume(current.fit), 0.0)
+    trial = replace(trial, gain=gain, evidence=evidence, noise=_noise(scores.of_passes, current))
     if effect is None or trial.glanced:
         return trial
     nested = nested_evidence(fit, model.effects[-1], _free_parameters(model))
@@ -334,26 +288,20 @@ def _exceeds(trial: Trial, nested: NestedEvidence) -> bool:
     return trial.evidence - nested.value > _BEYOND_NOISE * float(np.hypot(trial.noise, nested.noise))
 
 
-class _Scores(NamedTuple):
-    """Log scores of the rows (T,) by some particles, and their noise to first order [nat]."""
+def _noise(of_passes: Float, current: Trial) -> float:
+    """Return the noise of the score by some passes; a single one has that of one pass of the current model."""
+    if len(of_passes) > 1:
+        return noise_of_rows(of_passes)
+    return noise_of_rows(current.of_passes) * math.sqrt(len(current.of_passes))
 
-    rows: Float
-    noise: float
+
+def _bias(of_passes: Float, current: Trial) -> float:
+    """Return the bias of a score: the log of an estimate lies below that of what it estimates, by half its variance."""
+    return -0.5 * _noise(of_passes, current) ** 2
 
 
-def _as_often(current: Trial, passes: int) -> _Scores:
-    """Return what the current model has from so many passes, in the mean over its own.
-
-    The log of an estimate lies below the log of what it estimates. Fewer passes take more from a score: where a filter
-    follows with difficulty, one takes ten nats more than eight together, and any effect would lose to none.
-    """
-    known = current.of_passes
-    together = min(passes, len(known))
-    groups = [known[first : first + together] for first in range(0, len(known) - together + 1, together)]
-    rows = np.mean([mixed_rows(group) for group in groups], axis=0)
-    if together == 1:
-        return _Scores(rows, noise_of_rows(known) * float(np.sqrt(len(known))))
-    return _Scores(rows, float(np.sqrt(np.mean([noise_of_rows(group) ** 2 for group in groups]))))
+def _score(of_passes: Float, current: Trial) -> float:
+    return float(mixed_rows(of_passes).sum()) - _bias(of_passes, current)
 
 
 def _free_parameters(model: RobotModel) -> NDArray[np.bool_]:

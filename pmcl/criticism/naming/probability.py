@@ -338,14 +338,14 @@ def _evidence_bound(p_value: float) -> float:
 def _known_best(k: int, trials: Sequence[Trial], same: Mapping[str, str]) -> int:
     """Return the number of the trial that counts among those of one effect under several names.
 
-    It is the one that was fitted longest and scored by the most particles; of several, the one with more evidence.
+    It is the one that was fitted longest; of several, the one with more evidence.
     """
     names = [trial.effect.name for trial in trials if trial.effect is not None]
     name = same.get(names[k], names[k])
     if name == names[k] and name not in same.values():
         return k
     alike = [number for number, other in enumerate(names) if same.get(other, other) == name]
-    of = [(trials[number].effort.draws, trials[number].particles, trials[number].evidence) for number in alike]
+    of = [(trials[number].effort.draws, trials[number].evidence) for number in alike]
     return alike[max(range(len(alike)), key=of.__getitem__)]
 
 

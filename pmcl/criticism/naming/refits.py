@@ -8,7 +8,7 @@ from typing import Any
 
 from pmcl.criticism.findings.verdict import with_place
 from pmcl.criticism.fitting.quick_fit import GLANCE, Effort, Fit
-from pmcl.criticism.fitting.trials import Trial, refitted, scored_anew, trial_of_base, try_effect
+from pmcl.criticism.fitting.trials import Trial, refitted, trial_of_base, try_effect
 from pmcl.criticism.naming.candidates import RankedEffect
 from pmcl.criticism.scoring.scores import instance_key
 from pmcl.criticism.settings import Settings
@@ -16,9 +16,6 @@ from pmcl.logs.robot_log import RobotLog
 from pmcl.streams import stream_seed
 
 __all__ = ["Refits"]
-
-# Passes by which the current model is scored with more particles: few, since each takes as long as several usual ones.
-_PASSES_OF_FINER = 4
 
 
 class Refits:
@@ -35,7 +32,6 @@ class Refits:
     def __init__(self, log: RobotLog, settings: Settings) -> None:
         self.log, self.settings = log, settings
         self._known: dict[Any, Trial] = {}
-        self._finer: list[tuple[Trial, Trial]] = []  # current models, and the same scored with more particles
 
     @property
     def seed(self) -> int:
@@ -44,7 +40,7 @@ class Refits:
 
     def forget(self) -> None:
         """Forget all trials, because they belong to another current model."""
-        self._known, self._finer = {}, []
+        self._known = {}
 
     def base_trial(self, fit: Fit) -> Trial:
         """Score a fitted model, with which candidates are compared."""
@@ -72,8 +68,7 @@ class Refits:
 
         def glance_at(k: int) -> Trial | None:
             return try_effect(
-                current, new[k].effect, new[k].z, self.log, seed=self.seed, particles=current.particles, effort=GLANCE,
-                at=new[k].starts_at,
+                current, new[k].effect, new[k].z, self.log, seed=self.seed, effort=GLANCE, at=new[k].starts_at
             )  # fmt: skip
 
         for trial in self.settings.mapped(glance_at, "quick fits of candidates", names):
@@ -101,53 +96,12 @@ class Refits:
         """
 
         def fit(k: int) -> Trial:
-            # What was scored with more particles for a reason is again.
-            particles = trials[k].particles
-            return refitted(
-                trials[k], self._with_particles(current, particles), seed=self.seed, particles=particles, effort=effort
-            )
+            return refitted(trials[k], current, seed=self.seed, effort=effort)
 
         longer = self.settings.mapped(fit, "longer fits of candidates", _names_of(trials))
         for trial in longer:
             self._remember(trial)
         return longer
-
-    def finer(self, current: Trial, trials: Sequence[Trial], times: int) -> list[Trial]:
-        """Score trials with more particles.
-
-        Parameters
-        ----------
-        current : Trial
-            The current model.
-        trials : sequence of Trial
-            The trials.
-        times : int
-            How many times as many.
-
-        Returns
-        -------
-        list of Trial
-            In the same order.
-        """
-        if not trials:
-            return []
-        finer = self._with_particles(current, times * current.particles)
-
-        def score(k: int) -> Trial:
-            return scored_anew(trials[k], finer, seed=self.seed)
-
-        return self.settings.mapped(score, "scoring with more particles", _names_of(trials))
-
-    def _with_particles(self, current: Trial, particles: int) -> Trial:
-        """Return the current model scored with so many particles: only like is compared with like."""
-        if particles == current.particles:
-            return current
-        for known, finer in self._finer:
-            if known is current and finer.particles == particles:
-                return finer
-        finer = trial_of_base(current.fit, seed=self.seed, particles=particles, passes=_PASSES_OF_FINER)
-        self._finer.append((current, finer))
-        return finer
 
     def _remember(self, trial: Trial) -> None:
         assert trial.effect is not None

@@ -176,10 +176,10 @@ def _side(trial: Trial, position: int) -> float:
 
 
 def _fitted(like: Trial, model: RobotModel, theta: np.ndarray, seed: int) -> Trial | None:
-    """Fit a model from some parameters and a trial's path, and score it as that was; None where no filter follows."""
+    """Fit a model from some parameters and a trial's path, and score it; None where that cannot be."""
     try:
         fit = quick_fit(model.bind(like.fit.bound.logs), seed, theta=theta, path=like.fit.path)
-        return trial_of_base(fit, seed=seed, particles=like.particles)
+        return trial_of_base(fit, seed=seed)
     except DensityError:
         raise
     except PmclError:

@@ -35,7 +35,6 @@ from pmcl.criticism.fitting.trials import Trial, effect_of
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.candidates import (
     RankedEffect,
-    are_near_twins,
     in_order,
     other_places,
     twins_of,
@@ -46,7 +45,6 @@ from pmcl.criticism.naming.judged_models import JudgedModels
 from pmcl.criticism.naming.lost_robot import Recovery, recover
 from pmcl.criticism.naming.probability import (
     CREDIBLE,
-    LEAST_LISTED,
     Explanations,
     explanations,
     suspects,
@@ -68,11 +66,6 @@ __all__ = ["Outcome", "Search"]
 # So many candidates are fitted at a glance at a time, the likeliest first. It decides how long a search takes, hardly
 # what it finds: the search goes on where these do not explain the log.
 _BATCH = 5
-# Effects that share the answer, or that may be the answer if noise of particles was against them, are scored with so
-# many times as many particles; of the latter no more than the likeliest few.
-_FINER, _MOST_IN_DOUBT = 4, 3
-# Noise of an evidence that needs no more particles [nat].
-_LITTLE_NOISE = 1.0
 
 
 class Outcome(NamedTuple):
@@ -140,17 +133,9 @@ class Search:
         """Directions of the candidates that the current model lacks."""
         return self.models.directions
 
-    def use_particles(self, particles: int, finer: int) -> None:
-        """Use other numbers of particles from now on.
-
-        Parameters
-        ----------
-        particles : int
-            Particles of a scored pass.
-        finer : int
-            Comparisons of log scores use so many times as many.
-        """
-        self.refits.settings = replace(self.settings, particles=particles, finer=finer)
+    def use_particles(self, particles: int) -> None:
+        """Use another number of particles for scored passes from now on."""
+        self.refits.settings = self.settings.with_particles(particles)
 
     def judge(self, fit: Fit) -> JudgedFit:
         """Judge the log under a fit; candidates are refitted beside its model from now on."""
@@ -293,8 +278,6 @@ class Search:
                 chosen = others()[:_BATCH]
             elif not chosen and refuted is None and not probable.explained:
                 chosen = rest()[:_BATCH]
-        trials = self._finer(current, trials, probable)
-        probable = self._explanations(last, current, trials, formulas)
         return self._answer(last, trials, probable, formulas)._replace(exhausted=not others())
 
     def named_again(self, last: JudgedFit, without: Trial, ranked: RankedEffect) -> Outcome | None:
@@ -317,7 +300,6 @@ class Search:
         self.refits.forget()
         trials = self.refits.glances(without, [ranked, *twins])
         trials = self._refined(last, without, trials, None)
-        trials = self._finer(without, trials, self._explanations(last, without, trials))
         self.refits.forget()
         return self._answer(last, trials, self._explanations(last, without, trials), None)
 
@@ -386,10 +368,7 @@ class Search:
             probable = self._explanations(last, current, trials, formulas)
             longer = self._longer(current, trials, probable.credible if probable.likely else ())
             if all(after is before for after, before in zip(longer, trials, strict=True)):
-                doubtful = _in_doubt_by_noise(current, trials, probable)
-                if not doubtful:
-                    return trials
-                longer = _replaced(trials, doubtful, self.refits.finer(current, doubtful, _FINER))
+                return trials
             trials = longer  # others may be the answer now
 
     def _longer(self, current: Trial, trials: list[Trial], effects: Sequence[Effect] | None = None) -> list[Trial]:
@@ -401,16 +380,6 @@ class Search:
             if not trial.thorough and (keys is None or instance_key(effect_of(trial)) in keys)
         ]
         return _replaced(trials, some, self.refits.longer(current, some, THOROUGH))
-
-    def _finer(self, current: Trial, trials: list[Trial], probable: Explanations) -> list[Trial]:
-        """Score those effects with more particles that share the answer, or are near twins of one that has part."""
-        listed = [effect for effect in probable.effects if probable.of(effect) >= LEAST_LISTED]
-        keys = {instance_key(effect) for effect in (*probable.credible, *_near_twins_of(probable.credible, listed))}
-        sharing = [trial for trial in trials if instance_key(effect_of(trial)) in keys and not trial.nested]
-        if len(sharing) < 2 or not probable.likely:
-            return trials
-        coarse = [trial for trial in sharing if trial.particles == current.particles]
-        return _replaced(trials, coarse, self.refits.finer(current, coarse, _FINER))
 
     def _answer(
         self, last: JudgedFit, trials: list[Trial], probable: Explanations, formulas: FormulaCandidates | None
@@ -426,30 +395,6 @@ class Search:
             judgement, directions = formulas.judgement, formulas.directions
         found = with_probabilities(found_effect(best, twins, judgement, directions), best, probable)
         return Outcome(best, found, trials, probable, tuple(credible), formulas)
-
-
-def _near_twins_of(effects: Sequence[Effect], others: Sequence[Effect]) -> list[Effect]:
-    """Return those of `others` of which the catalogue says that they look like one of some effects."""
-    return [other for other in others if any(are_near_twins(other, effect) for effect in effects)]
-
-
-def _in_doubt_by_noise(current: Trial, trials: Sequence[Trial], probable: Explanations) -> list[Trial]:
-    """Return what may be right although the log does not seem explained, and is not known better for want of particles.
-
-    An effect of ten nats, scored with a noise of five, would often be missed.
-    """
-    if probable.explained:
-        return []
-    keys = {instance_key(effect) for effect in probable.may_be_right}
-    noisy = [
-        trial
-        for trial in trials
-        if instance_key(effect_of(trial)) in keys
-        and trial.particles == current.particles
-        and not trial.nested
-        and trial.noise > _LITTLE_NOISE
-    ]
-    return sorted(noisy, key=lambda trial: -probable.of(effect_of(trial)))[:_MOST_IN_DOUBT]
 
 
 def _is_still_the_answer(outcome: Outcome, probable: Explanations) -> bool:
