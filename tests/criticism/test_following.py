@@ -161,3 +161,15 @@ def test_one_row_gives_a_loss_away_only_by_several_landmarks(landmarks, far_off,
     nothing = np.zeros(row.size)
     made = Predictions(None, nothing, kind, channel, row, ("range", "bearing"), nothing, nothing, seen, seen)
     assert lost_at(made, 60) == lost
+
+
+@pytest.mark.parametrize(("rows", "apart"), [({30: 500.0}, False), ({30: 500.0, 31: 70.0}, True), ({}, False)])
+def test_filters_disagree_where_they_differ_in_more_than_one_row(rows, apart):
+    """A step far astray may cost hundreds of nats at one row; a robot that is lost costs them row after row."""
+    large, small = np.zeros(100), np.zeros(100)
+    for row, nats in rows.items():
+        small[row] -= nats
+    assert (following._disagree_at(small, large) is not None) is apart
+    assert following._disagree_at(large, small) is None
+    assert (following._disagree_at(large, small, both_ways=True) is not None) is apart
+    assert following._disagree_at(large - 4.0, large) is not None
