@@ -44,32 +44,39 @@ class GuidedFilter:
         The model bound to one log.
     theta : ndarray, shape (d,)
         Its parameters.
-    path : ndarray, shape (T, D)
-        A path that explains the log, headings not wrapped [m, m, rad]; a more probable one near it is looked for.
+    *paths : ndarray, shape (T, D)
+        Paths that explain the log, headings not wrapped [m, m, rad]. More probable ones near them are looked for, and
+        the one that gives most evidence counts: the mean of a chain's paths lies best where these are alike, and
+        nowhere where half of them are elsewhere.
 
     Raises
     ------
     FilterError
-        When the model, linearised around the path, has no Gaussian path.
+        When the model, linearised around any of the paths, has no Gaussian path.
     DensityError
         When a density is not a number.
     """
 
-    def __init__(self, bound: BoundModel, theta: Float, path: Float) -> None:
+    def __init__(self, bound: BoundModel, theta: Float, *paths: Float) -> None:
         self._tables = bound.tables(theta)[0]
-        evidence = improved(LinearisedEvidence(bound, theta, [path]), theta)
         self._looks_back = any(bool(looks_back(sensor)) for sensor in self._tables.sensors)
+        guides = [self._guide(bound, theta, path) for path in paths]
+        self._guides = [guide for guide in guides if guide is not None]
+        if not self._guides:
+            raise FilterError(
+                f"{bound.logs[0].where}: the linearised model has no Gaussian path; give the motion model noise in "
+                "every direction"
+            )
+
+    def _guide(self, bound: BoundModel, theta: Float, path: Float) -> Guide | None:
+        """Return the guide near a path; None where there is no Gaussian path."""
+        evidence = improved(LinearisedEvidence(bound, theta, [path]), theta)
         reference = evidence.references[0]
         tables, readings = evidence.linear_model(0, self._tables)
         fine, *arrays = guide_of(
             with_expected_noise(tables, reference, make_rng(0)), readings, reference, self._looks_back
         )
-        if not fine:
-            raise FilterError(
-                f"{bound.logs[0].where}: the linearised model has no Gaussian path; give the motion model noise in "
-                "every direction"
-            )
-        self._guide = Guide(reference, *arrays)
+        return Guide(reference, *arrays) if fine else None
 
     def log_scores(self, particles: int, passes: int, seed: int | np.random.SeedSequence) -> Float:
         """Return the log scores of the rows by some passes.
@@ -79,7 +86,8 @@ class GuidedFilter:
         particles : int
             Particles of each row, but for rows in which few of them are effective: these have more.
         passes : int
-            Number of passes K. Another one, the first, only tells how many particles each row needs.
+            Number of passes K. One more along each path, the first, only tells which path is the best, and how many
+            particles each row needs.
         seed : int or SeedSequence
             Determines all random numbers.
 
@@ -92,20 +100,35 @@ class GuidedFilter:
         Raises
         ------
         FilterError
-            When every particle gets weight zero.
+            When every particle gets weight zero along each path.
         DensityError
             When a density is not a number.
         """
         rng = make_rng(seed)
-        counts = np.full(len(self._guide.reference), particles)
-        needed = 1.0 / np.maximum(self._steps(counts, rng)[:, 1], 1.0 / particles)
+        guide, effective = self._best(np.full(len(self._guides[0].reference), particles), rng)
+        needed = 1.0 / np.maximum(effective, 1.0 / particles)
         if self._looks_back:  # readings are weighed after the row before is drawn
             needed[:-1] = np.maximum(needed[:-1], needed[1:])
         counts = np.ceil(particles * np.clip(_EFFECTIVE * needed, 1.0, _MOST_TIMES)).astype(np.int64)
-        return np.array([self._steps(counts, rng)[:, 0] for _ in range(passes)])
+        return np.array([self._steps(guide, counts, rng)[:, 0] for _ in range(passes)])
 
-    def _steps(self, counts: NDArray[np.int64], rng: np.random.Generator) -> Float:
+    def _best(self, counts: NDArray[np.int64], rng: np.random.Generator) -> tuple[Guide, Float]:
+        """Return the guide with the greatest evidence, and the share of the particles that are effective, (T,)."""
+        best, found, failure = -np.inf, None, FilterError()
+        for guide in self._guides:
+            try:
+                steps = self._steps(guide, counts, rng)
+            except FilterError as error:
+                failure = error
+                continue
+            if found is None or steps[:, 0].sum() > best:
+                best, found = float(steps[:, 0].sum()), (guide, steps[:, 1])
+        if found is None:
+            raise failure
+        return found
+
+    def _steps(self, guide: Guide, counts: NDArray[np.int64], rng: np.random.Generator) -> Float:
         check_interrupt()
-        status, t, steps = guided_pass(self._tables, self._guide, counts, _WIDE_SHARE, _WIDE, rng)
+        status, t, steps = guided_pass(self._tables, guide, counts, _WIDE_SHARE, _WIDE, rng)
         raise_outcome(status, t, "guided filter")
         return np.asarray(steps)

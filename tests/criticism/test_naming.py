@@ -163,9 +163,9 @@ def fitted_models(log, rng, strength):
     base, more = model.bind(log), replace(model, effects=(effect,)).bind(log)
     theta = base.prior_mean()
     draws = theta * (1.0 + 0.1 * rng.standard_normal((400, theta.size)))
-    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws, path=None)]
+    fits = [SimpleNamespace(bound=base, theta=draws.mean(axis=0), draws=draws, path=None, paths=())]
     draws = np.hstack([draws, strength + 0.01 * rng.standard_normal((400, 1))])
-    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws, path=None))
+    fits.append(SimpleNamespace(bound=more, theta=draws.mean(axis=0), draws=draws, path=None, paths=()))
     return effect, fits
 
 
@@ -200,7 +200,7 @@ def test_what_the_evidence_of_a_trial_is_made_of(strength, monkeypatch, rng):
 def filtered(variance, rng):
     """Scores by a filter: the log of an unbiased estimate of each row's density."""
 
-    def row_scores(bound, theta, path, *, seed, passes):
+    def row_scores(bound, theta, paths, *, seed, passes):
         of_row = variance[bound]
         increments = rng.normal(-0.5 * of_row, math.sqrt(of_row), (passes, bound.lengths[0]))
         return RowScores(mixed_rows(increments), noise_of_rows(increments), increments)

@@ -165,26 +165,42 @@ def test_steps_far_astray_widen_the_noise_of_their_rows():
     assert with_expected_noise(plain.tables(plain.prior_mean())[0], path, make_rng(1)) is not None
 
 
-def test_more_particles_go_where_few_are_effective():
+def test_the_best_path_counts_and_more_particles_go_where_few_are_effective():
     """The first pass tells which rows these are; the others have less noise there."""
     log = sonar_log(80)
     bound = default_model(log).bind(log)
     theta = np.array([SONAR[name] for name in bound.names])
     path = true_path(log)
-    guided, asked = GuidedFilter(bound, theta, path), []
+    guided, asked, evidence = GuidedFilter(bound, theta, path, path), [], []
 
-    def steps(counts, rng):
-        asked.append(counts.copy())
+    def steps(guide, counts, rng):
+        asked.append((guide, counts.copy()))
         found = np.zeros((80, 2))
         found[:, 1] = 1.0
+        found[0, 0] = evidence[guide is guided._guides[1]]
         found[7, 1], found[9, 1] = 0.1, 1e-9
         return found
 
     guided._steps = steps
-    assert guided.log_scores(100, 3, 1).shape == (3, 80)
-    assert [counts.max() for counts in asked] == [100, 2000, 2000, 2000]
-    assert list(np.flatnonzero(asked[1] > 100)) == [7, 9]
-    assert asked[1][7] == 500
+    for of_paths, best in (((5.0, 3.0), 0), ((3.0, 5.0), 1)):
+        asked.clear()
+        evidence[:] = of_paths
+        assert guided.log_scores(100, 3, 1).shape == (3, 80)
+        assert [counts.max() for _, counts in asked] == [100, 100, 2000, 2000, 2000]
+        assert all(guide is guided._guides[best] for guide, _ in asked[2:])
+        assert list(np.flatnonzero(asked[2][1] > 100)) == [7, 9]
+        assert asked[2][1][7] == 500
+
+
+def test_an_impossible_path_does_not_matter_beside_another():
+    log = sonar_log(80)
+    bound = default_model(log).bind(log)
+    theta = np.array([SONAR[name] for name in bound.names])
+    path = true_path(log)
+    far = path + np.array([50.0, 0.0, 0.0])
+    alone = GuidedFilter(bound, theta, path).log_scores(100, 4, 1).sum(axis=1)
+    both = GuidedFilter(bound, theta, far, path).log_scores(100, 4, 1).sum(axis=1)
+    assert both.mean() == pytest.approx(alone.mean(), abs=5.0)
 
 
 def test_a_model_without_noise_in_some_direction_is_refused(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -71,7 +72,7 @@ class RowScores(NamedTuple):
 
 
 def row_scores(
-    bound: BoundModel, theta: Float, path: Float, *, particles: int = PARTICLES, seed: int, passes: int = 2
+    bound: BoundModel, theta: Float, paths: Sequence[Float], *, seed: int, passes: int = 4
 ) -> RowScores:
     """Return log scores of the rows, which sum to the log evidence, from passes of a filter that a path guides.
 
@@ -84,10 +85,8 @@ def row_scores(
         The model bound to one log.
     theta : ndarray, shape (d,)
         Its parameters.
-    path : ndarray, shape (T, D)
-        A path that explains the log under these parameters, or nearly does.
-    particles : int
-        Particles of each row in which most of them are effective.
+    paths : sequence of ndarray, shape (T, D)
+        Paths that explain the log under these parameters, or nearly do; the best of them counts.
     seed : int
         Determines all random numbers.
     passes : int
@@ -110,7 +109,7 @@ def row_scores(
         When a density is not a number.
     """
     with parameters_told(bound, theta):
-        increments = GuidedFilter(bound, theta, path).log_scores(particles, passes, seed)
+        increments = GuidedFilter(bound, theta, *paths).log_scores(PARTICLES, passes, seed)
     return RowScores(mixed_rows(increments), noise_of_rows(increments), increments)
 
 

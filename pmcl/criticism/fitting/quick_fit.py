@@ -109,6 +109,11 @@ class Fit:
         """Coefficient tables at the posterior mean."""
         return self.bound.tables(self.theta)[0]
 
+    @property
+    def paths(self) -> tuple[Float, Float]:
+        """The mean of the chain's paths, and the last of them."""
+        return self.path, self.drawn_path
+
     def values(self) -> dict[str, float]:
         """Return the posterior mean by name."""
         return dict(zip(self.bound.names, self.theta.tolist(), strict=True))

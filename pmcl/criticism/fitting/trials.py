@@ -264,7 +264,7 @@ def _scored(
 ) -> Trial:
     """Return a fitted model as a trial; it is compared with itself when there is no current model."""
     passes = _PASSES_OF_CURRENT if current is None else effort.passes
-    scores = row_scores(fit.bound, fit.theta, fit.path, seed=seed, passes=passes)
+    scores = row_scores(fit.bound, fit.theta, fit.paths, seed=seed, passes=passes)
     trial = Trial(
         effect, model, fit, scores.rows, z, Gain(0.0, 0.0), 0.0, scores.noise, scores.of_passes, effort
     )  # fmt: skip

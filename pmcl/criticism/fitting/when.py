@@ -17,7 +17,7 @@ and the change points are computed once more with the parameters of that fit.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -196,14 +196,14 @@ def acting(fit: Fit, effect: Effect, *, seed: int) -> Acting | None:
     if not effect.may_begin or not strengths:
         return None
     try:
-        rows = _differences(fit.bound, fit.theta, fit.path, strengths, seed=seed)
+        rows = _differences(fit.bound, fit.theta, fit.paths, strengths, seed=seed)
         found = window_posterior(rows)
         if found.throughout > _LEAST_DOUBT or not _in_several_blocks(rows, found):
             return None
         inside = _fit_inside(fit, *_window(found, fit.bound.lengths[0]), seed=seed)
         if inside is None:
             return _as_times(found, fit.bound, {})
-        again = _differences(fit.bound, inside.theta, fit.path, strengths, seed=seed)
+        again = _differences(fit.bound, inside.theta, fit.paths, strengths, seed=seed)
         better = window_posterior(again)
         if better.throughout > _LEAST_DOUBT or not _in_several_blocks(again, better):
             return None
@@ -226,12 +226,12 @@ def _positions(bound: BoundModel, effect: Effect) -> dict[int, float]:
 
 
 def _differences(
-    bound: BoundModel, theta: Float, path: Float, strengths: Mapping[int, float], *, seed: int
+    bound: BoundModel, theta: Float, paths: Sequence[Float], strengths: Mapping[int, float], *, seed: int
 ) -> Float:
     """Return the log score of each row with multiples of the strengths less that without the effect, (M, T) [nat]."""
 
     def rows(multiple: float) -> Float:
-        return row_scores(bound, _with_multiple(bound, theta, strengths, multiple), path, seed=seed).rows
+        return row_scores(bound, _with_multiple(bound, theta, strengths, multiple), paths, seed=seed).rows
 
     without, differences = rows(0.0), []
     for multiple in _MULTIPLES:

@@ -85,6 +85,11 @@ def recover(
     trials: list[Trial] = []
     refits.settings.tell("the filter loses the robot: refitting all effects of its motion, then of its sensors")
     try:
+        # A chain that began where a filter had lost the robot may not have settled yet.
+        fit = quick_fit(
+            fit.bound, stream_seed(refits.settings.seed, "longer fit of a lost robot"), theta=fit.theta,
+            path=fit.drawn_path,
+        )  # fmt: skip
         current = refits.base_trial(fit)
     except FilterError:
         return None
