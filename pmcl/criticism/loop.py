@@ -22,7 +22,7 @@ from pmcl.criticism.fitting.trials import Trial
 from pmcl.criticism.judging.judged_log import in_doubt
 from pmcl.criticism.naming.gross_errors import without_gross_errors
 from pmcl.criticism.naming.lost_robot import Recovery
-from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits
+from pmcl.criticism.naming.probability import log_prior_odds, nothing_without_refits, with_probabilities
 from pmcl.criticism.naming.revision import Answer, revised
 from pmcl.criticism.naming.search import Outcome, Search
 from pmcl.criticism.settings import Settings
@@ -187,8 +187,9 @@ class Loop:
         return recovery, (*notes, f"without {name} the filter loses the robot at t={self.log.times[lost.row or 0]:g} s")
 
     def _with_recovery(self, state: State, recovery: Recovery) -> State:
-        trial, trials, twins = recovery
+        trial, trials, probable, twins = recovery
         found = found_effect(trial, twins, state.judged.judgement, self.search.directions)
+        found = with_probabilities(found, trial, probable)
         answer = Answer(found, (trial, *twins))
         return self._added(state, trial, trials, answer, f"add {found.name}: with it the filter follows")
 

@@ -194,7 +194,8 @@ def test_near_twins_with_which_the_filter_follows_belong_to_the_answer(monkeypat
     monkeypatch.setattr(loop, "found_effect", lambda trial, twins, *_: SimpleNamespace(name="sensor-yaw"))
     monkeypatch.setattr(Loop, "_added", lambda self, state, accepted, trials, answer, decision: answer)
     state = State(SimpleNamespace(judgement=None), None)
-    answer = Loop(task, rounds=3)._with_recovery(state, Recovery(first, [first, twin], [twin]))
+    monkeypatch.setattr(loop, "with_probabilities", lambda found, *_: found)
+    answer = Loop(task, rounds=3)._with_recovery(state, Recovery(first, [first, twin], None, [twin]))
     assert answer.credible == (first, twin)
 
 

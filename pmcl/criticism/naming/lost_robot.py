@@ -14,7 +14,7 @@ from scipy import special
 from pmcl.criticism.fitting.quick_fit import THOROUGH, Fit, quick_fit
 from pmcl.criticism.fitting.trials import Trial, effect_of
 from pmcl.criticism.naming.candidates import RankedEffect, in_order, of_carrier, of_sensors, twins_of, untried
-from pmcl.criticism.naming.probability import CREDIBLE
+from pmcl.criticism.naming.probability import CREDIBLE, Explanations, explanations
 from pmcl.criticism.naming.promises import Promises, bounds_of, with_bounds
 from pmcl.criticism.naming.refits import Refits
 from pmcl.criticism.scoring.scores import Direction, effect_scores, inside_priors, instance_key, probe_values
@@ -44,12 +44,15 @@ class Recovery(NamedTuple):
         The model with the effect.
     trials : list of Trial
         All candidates that were refitted.
+    probable : Explanations
+        How probable each of them is, if nothing is missing that has no name: a lost filter has no alarms to go by.
     twins : list of Trial
         Near twins of the effect that may be meant instead.
     """
 
     accepted: Trial
     trials: list[Trial]
+    probable: Explanations
     twins: Sequence[Trial] = ()
 
 
@@ -103,9 +106,13 @@ def recover(
         glances = sorted(refits.glances(current, offered), key=lambda trial: -trial.evidence)
         refitted = refits.longer(current, glances[:_FOLLOWED], THOROUGH)
         trials += [*refitted, *glances[_FOLLOWED:]]
-        likely = sorted(
-            (trial for trial in refitted if trial.evidence > least_evidence), key=lambda trial: -trial.evidence
-        )
+        refitted = sorted(refitted, key=lambda trial: -trial.evidence)
+        # What is less probable than another one is no answer, whether or not its filter follows.
+        likely = [
+            trial
+            for trial in refitted
+            if trial.evidence > least_evidence and _may_be_meant(trial, refitted[0])
+        ]
         for trial in likely:
             try:
                 follow(trial.fit)
@@ -117,7 +124,8 @@ def recover(
                 [trial, *_following(rivals, follow)], key=lambda one: one.evidence, reverse=True
             )
             twins = [other for other in others if _may_be_meant(other, best)]
-            return Recovery(best, [*trials, *rivals], twins)
+            tried, seed = [*trials, *rivals], stream_seed(refits.settings.seed, "noise of evidences")
+            return Recovery(best, tried, explanations(current, tried, directions, 0, 1.0, seed), twins)
         least_evidence = max([least_evidence, *(trial.evidence for trial in likely)])
     return None
 
