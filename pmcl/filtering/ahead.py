@@ -8,6 +8,7 @@ from pmcl.engine.compile_ahead import Call, compile_ahead
 from pmcl.engine.contract import state_size
 from pmcl.engine.tables import with_extras
 from pmcl.filtering.kernels import linear, smc
+from pmcl.filtering.kernels.guided import Guide, guide_of, guided_pass
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.motions.joined.table import joined_tables, parts_of_joined
@@ -49,8 +50,9 @@ def compile_for_criticism(tables: Tables) -> None:
             *filtering[1:],
             *_scoring(tables),
             *_scoring(full),
-            *_filtering(moved)[:1],
-            *_filtering(full)[:1],
+            *_guided(tables),
+            *_guided(moved),
+            *_guided(full),
             *_sampling(full),
         ]
     )
@@ -84,6 +86,20 @@ def _filtering(tables: Tables) -> list[Call]:
         (smc.predictive_pass, (*settings, False, 1)),
         (smc.conditional_pass, (tables, make_rng(0), np.empty((1, size)), 1)),
         (smc.sample_backward, (tables, make_rng(0), *history, 1)),
+    ]
+
+
+def _guided(tables: Tables) -> list[Call]:
+    """Return the calls of the filter that a path guides; none where a sensor has no linearisation of its own."""
+    linear_readings = tuple(sensor_of(sensor).linearisation_like(sensor) for sensor in tables.sensors)
+    if any(linear is None for linear in linear_readings):
+        return []
+    size = int(state_size(tables.motion))
+    path, square = np.empty((1, size)), np.empty((1, size * size))
+    guide = Guide(path, square, square, path, square, path)
+    return [
+        (guide_of, (tables, linear_readings, path, False)),
+        (guided_pass, (tables, guide, np.ones(1, dtype=np.int64), 0.1, 1.0, make_rng(0))),
     ]
 
 

@@ -166,7 +166,7 @@ def test_what_is_compiled_ahead_stays_within_its_budget(short_log, monkeypatch):
     assert len(_signatures(foreseen)) <= 7
     foreseen.clear()
     ahead.compile_for_criticism(tables)
-    assert len(_signatures(foreseen)) <= 22
+    assert len(_signatures(foreseen)) <= 26
     assert helper._helpers == []
 
 
@@ -181,7 +181,7 @@ def test_all_effects_together_need_few_combinations_of_table_types(simulate, mon
     foreseen = []
     monkeypatch.setattr(ahead, "compile_ahead", foreseen.extend)
     ahead.compile_for_criticism(tables)
-    known = {numba.typeof(arguments[0]) for function, arguments in foreseen if function.__name__ == "filter_pass"}
+    known = {numba.typeof(arguments[0]) for function, arguments in foreseen if function.__name__ == "guided_pass"}
     met = {numba.typeof(tables): ["no effect"]}
     for effect in candidates(log):
         values = np.array(next(iter(effect.typical.values())), dtype=float)
