@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles import kalman
 from oracles.effect_logs import FIELD, SONAR, field_log, sonar_log
-from oracles.random_walk_model import rail_log, rail_model
+from oracles.random_walk_model import RailSensor, rail_log, rail_model
 
 from pmcl.engine.contract import state_size, widens
 from pmcl.errors import FilterError
@@ -225,3 +225,12 @@ def test_a_filter_with_heavy_tails_draws_widely_and_stays_exact():
     off, error = differ(np.exp(found - exact.mean()), np.exp(exact - exact.mean()))
     assert error < 0.05
     assert off < 4.0
+
+
+def test_a_sensor_without_linearisation_guides_as_well(monkeypatch, rng):
+    """Its readings are expanded by differences of their density; for a linear model that is exact."""
+    bound = rail_model().bind(rail_log(40, seed=5, missing=(3, 4, 20)))
+    exact = float(kalman.log_evidence(kalman.linear_model(bound.tables(THETA)[0]), *THETA))
+    monkeypatch.setattr(RailSensor, "linearise", staticmethod(lambda table, reference: None))
+    found = GuidedFilter(bound, THETA, 50.0 + rng.standard_normal((40, 1))).log_scores(500, 8, 1).sum(axis=1)
+    assert found.mean() == pytest.approx(exact, abs=0.2)
