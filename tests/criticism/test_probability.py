@@ -11,6 +11,7 @@ from scipy import integrate, stats
 
 from pmcl.criticism.fitting.quick_fit import BRIEF, GLANCE, THOROUGH
 from pmcl.criticism.fitting.trials import Trial
+from pmcl.criticism.naming import probability
 from pmcl.criticism.naming.probability import (
     NOTHING_PRIOR,
     explanations,
@@ -37,7 +38,7 @@ def effect(name, place=None, prior=None, squared=False):
 
 def trial(of, evidence, noise=0.0, effort=THOROUGH):
     """A trial with so much evidence."""
-    return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, np.zeros((1, 2)), 100, effort)
+    return Trial(of, None, None, None, 0.0, Gain(evidence, 1.0), evidence, noise, np.zeros((1, 2)), effort)
 
 
 def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0, p_value_with=None, **same):
@@ -47,8 +48,9 @@ def told(trials, others=(), p_value=1.0, formulas=0, noise=0.0, p_value_with=Non
     return explanations(current, trials, directions_of([*offered, *others]), formulas, p_value, 1, p_value_with, **same)
 
 
-def test_without_noise_it_is_bayes_rule():
+def test_without_noise_it_is_bayes_rule(monkeypatch):
     """Families share half of the prior with formulas and with what nobody has named; places share their family's."""
+    monkeypatch.setitem(probability._FIT_NOISE, THOROUGH, (0.0, 0.0))
     scale, beam = effect("odometry-turn-scale"), effect("beam-bias", 2)
     others = [effect("beam-bias", k) for k in (0, 1, 3)]
     formula = effect("formula: range += c*time")
@@ -93,14 +95,16 @@ def test_an_instance_that_was_fitted_twice_counts_once():
 
 def test_evidences_that_differ_by_less_than_their_noise_share_the_probability():
     one, other = effect("odometry-turn-scale"), effect("odometry-arc")
-    sharp = told([trial(one, 104.0), trial(other, 100.0)])
-    assert sharp.of(one) == pytest.approx(1.0 / (1.0 + np.exp(-4.0)))
-    noisy = told([trial(one, 104.0, 3.0), trial(other, 100.0, 3.0)])
-    expected, _ = integrate.quad(
-        lambda lead: stats.norm.pdf(lead, 4.0, 3.0 * np.sqrt(2.0)) / (1.0 + np.exp(-lead)), -40.0, 40.0
-    )
-    # Four thousand draws.
-    assert noisy.of(one) == pytest.approx(expected, abs=0.02)
+    for noise in (0.0, 3.0):
+        found = told([trial(one, 104.0, noise), trial(other, 100.0, noise)])
+        # The chains of two thorough fits differ, too.
+        std = np.sqrt(2.0) * np.hypot(noise, probability._FIT_NOISE[THOROUGH][0])
+        expected, _ = integrate.quad(
+            lambda lead, std=std: stats.norm.pdf(lead, 4.0, std) / (1.0 + np.exp(-lead)), -40.0, 40.0, points=[4.0]
+        )
+        # Four thousand draws.
+        assert found.of(one) == pytest.approx(expected, abs=0.02)
+    noisy = found
     # A short fit is further off.
     glance = told([trial(one, 104.0, 3.0, GLANCE), trial(other, 100.0, 3.0, GLANCE)])
     brief = told([trial(one, 104.0, 3.0, BRIEF), trial(other, 100.0, 3.0, BRIEF)])
