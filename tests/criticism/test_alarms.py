@@ -182,3 +182,22 @@ def test_numbers_that_are_no_sums_keep_all_they_have(rng):
     values[0] = 8.0
     sums = [BlockSums(value[:, None], np.empty((0, 1))) for value in values]
     assert deviations(sums, np.zeros(1, dtype=bool)).z[0, 0] > 5.0
+
+
+def test_a_weight_that_never_wins_in_simulated_logs_is_not_unusual_where_it_wins_once():
+    """Its score loses the same at every reading; the spread of such sums says nothing of a reading that wins."""
+    rows = np.full((31, 1, 300), -0.045)
+    rows[0, 0, 25] = 0.17
+    parameters = np.random.default_rng(1).standard_normal((31, 2, 300))
+    rows += 1e-4 * np.random.default_rng(2).standard_normal(rows.shape)
+    sums = [sums_of_rows(*log) for log in zip(rows, parameters, strict=True)]
+    weight = np.ones(1, dtype=bool)
+    # The winning row is bounded by the others of the log, which win nothing here unless some of them do.
+    rows[0, 0, 25:200:15] += 0.1
+    sums[0] = sums_of_rows(rows[0], parameters[0])
+    assert deviations(sums, weight).z[0, 0] > 4.0
+    assert deviations(sums, weight, weight).z[0, 0] < 3.0
+    # It is where it wins often.
+    rows[0, 0, ::10] = 0.3
+    sums[0] = sums_of_rows(rows[0], parameters[0])
+    assert deviations(sums, weight, weight).z[0, 0] > 4.0

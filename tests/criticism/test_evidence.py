@@ -8,6 +8,7 @@ from oracles.kalman import linear_model, log_evidence
 from oracles.random_walk_model import rail_log, rail_model
 from scipy import special, stats
 
+from pmcl.criticism.fitting import trials
 from pmcl.criticism.fitting.quick_fit import Effort, quick_fit
 from pmcl.criticism.fitting.trials import log_prior_and_volume, trial_of_base, try_effect
 from pmcl.models.effects.effect import Effect
@@ -15,8 +16,8 @@ from pmcl.models.parameters import Parameter
 
 # mypy: disable-error-code="no-untyped-def"
 
-# Long enough that the chain does not matter beside a tenth of a nat; the guided filter is exact here.
-EXACT = Effort(50, (100, 200), 4000, 8)
+# Long enough, and with enough passes of the filter, that neither matters beside a tenth of a nat.
+EXACT = Effort(50, (100, 200), 4000, 8, passes=100)
 PRIOR = stats.norm(scale=0.3)
 
 
@@ -54,7 +55,8 @@ def exact(bound, scales):
     ("hidden", "least"),
     [pytest.param(0.0, -6.0, marks=pytest.mark.long), pytest.param(0.03, 2.5, marks=pytest.mark.slow)],
 )
-def test_evidence_is_that_of_the_kalman_filter(hidden, least):
+def test_evidence_is_that_of_the_kalman_filter(hidden, least, monkeypatch):
+    monkeypatch.setattr(trials, "_PASSES_OF_CURRENT", EXACT.passes)
     log = rail_log(150, 4)
     dataset = log.dataset.copy(deep=True)
     dataset["odometry"].values[:, 0] /= 1.0 + hidden

@@ -153,9 +153,8 @@ def judge(
     logs = (scored, *simulated)
     one_sided = np.array([direction.one_sided for direction in directions], dtype=bool)
     # Scores of the fitted parameters vanish in the log but for Monte Carlo error; those of the simulated logs do not.
-    of_scores = deviations(
-        [sums_of_rows(log.scores, log.parameter_scores) for log in logs], one_sided
-    )
+    rare = np.array([direction.of_weight for direction in directions], dtype=bool)
+    of_scores = deviations([sums_of_rows(log.scores, log.parameter_scores) for log in logs], one_sided, rare)
     score_z = of_scores.z
     plain = deviations([BlockSums(_whole(log.scores), _whole(log.parameter_scores)) for log in logs], one_sided)
     features = scored.features

@@ -83,7 +83,7 @@ class Deviations(NamedTuple):
     std: Float
 
 
-def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Deviations:
+def deviations(logs: Sequence[BlockSums], one_sided: Bool, rare: Bool | None = None) -> Deviations:
     """Return how unusual the numbers of a log are, and those of each simulated log.
 
     Parameters
@@ -92,6 +92,8 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Deviations:
         The log, then the N simulated logs, each with F numbers.
     one_sided : ndarray of bool, shape (F,)
         Whether only large values are unusual.
+    rare : ndarray of bool, shape (F,), optional
+        Which numbers are scores of a mixture's weight; none where left out.
 
     Returns
     -------
@@ -117,7 +119,9 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Deviations:
     of other logs gave the weight of a gross error a p-value below 1e-5 in one log of a hundred. Let V be a third of the
     sum of the squared steps of a martingale M and two thirds of its expectation. Whatever the distribution of the
     steps, M exceeds x while V is at most v with a probability of at most exp(-x^2 / (2 v)) (Delyon 2009). The variance
-    used here is V, or that of the simulated logs where this is larger.
+    used here is that of the simulated logs times V over their mean of it, since the path absorbs much of most scores.
+    It absorbs no weight of a mixture: the variance of its score is at least V. Such a score loses the same at nearly
+    every reading and wins at few, and simulated logs in which it never wins are all alike.
 
     References
     ----------
@@ -143,7 +147,10 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Deviations:
     variance = np.concatenate([(squares / freedom * (1.0 + leverage[0]))[None], others * left]) + floor
     spreads = [log.spread for log in logs if log.spread is not None]
     if len(spreads) == len(logs):
-        variance *= _larger_spread(spreads, slope, floor)
+        larger, least = _larger_spread(spreads, slope, floor)
+        variance *= larger
+        if rare is not None:
+            variance = np.where(rare, np.maximum(variance, least), variance)
     constant = values[0] - residual[0] - parameters[0] @ slope
     if logs[0].blocks.shape[1] > 1:
         blocks = logs[0].blocks - slope.T @ logs[0].parameters - constant[:, None] / logs[0].blocks.shape[1]
@@ -156,8 +163,8 @@ def deviations(logs: Sequence[BlockSums], one_sided: Bool) -> Deviations:
     return Deviations(z, value, np.sqrt(variance[0]))
 
 
-def _larger_spread(spreads: Sequence[OwnSpread], slope: Float, floor: Float) -> Float:
-    """Return by what factor the variance of each number grows for its own rows, (1 + N, F): at least one.
+def _larger_spread(spreads: Sequence[OwnSpread], slope: Float, floor: Float) -> tuple[Float, Float]:
+    """Return by what factor the variance of each number grows for its own rows, at least one, and V, both (1 + N, F).
 
     See the notes of :func:`deviations`. The expected squares of a log are those of the rows of the other simulated
     logs, for as many rows as count in this one: a robot may stay at a place that the simulated ones hardly visit.
@@ -172,7 +179,8 @@ def _larger_spread(spreads: Sequence[OwnSpread], slope: Float, floor: Float) -> 
     others = of_other_simulated_logs(own)
     usual = others / np.array([n, *[n - 1] * n])[:, None]
     expected = np.maximum(usual, others * rows / np.maximum(of_other_simulated_logs(rows), 1.0))
-    return np.asarray(np.maximum(1.0, (2.0 * expected + own + floor) / (3.0 * usual + floor)))
+    larger = np.maximum(1.0, (2.0 * expected + own + floor) / (3.0 * usual + floor))
+    return np.asarray(larger), np.asarray((2.0 * expected + own) / 3.0)
 
 
 def _with_bounded_block(blocks: Float) -> Float:

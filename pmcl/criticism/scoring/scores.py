@@ -76,6 +76,11 @@ class Direction:
     below: Float
     one_sided: bool
 
+    @property
+    def of_weight(self) -> bool:
+        """Whether the parameter is the weight of a mixture, such as a share of readings."""
+        return self.effect.parameters[self.strength].role == "weight"
+
 
 def probe_values(effect: Effect, size: float, strength: int) -> Float:
     """Return the parameters of an effect when one of them is moved away from the null.
