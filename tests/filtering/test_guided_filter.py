@@ -190,6 +190,11 @@ def test_the_best_path_counts_and_more_particles_go_where_few_are_effective():
         assert all(guide is guided._guides[best] for guide, _ in asked[2:])
         assert list(np.flatnonzero(asked[2][1] > 100)) == [7, 9]
         assert asked[2][1][7] == 500
+    # Where readings are weighed a row later, the row before needs as many.
+    guided._looks_back = True
+    asked.clear()
+    guided.log_scores(100, 1, 1)
+    assert list(np.flatnonzero(asked[2][1] > 100)) == [6, 7, 8, 9]
 
 
 def test_an_impossible_path_does_not_matter_beside_another():
