@@ -47,7 +47,7 @@ LOGS = {
 }
 METHODS = (
     "conditional,plain,smoothing,ekf,ukf,least-squares,em,optimiser,liu-west,storvik,ensemble,ensemble-de,pmmh,"
-    "correlated-pmmh,marginal-gibbs,andrews,nuts,prior,truth"
+    "correlated-pmmh,bootstrap-ensemble,bootstrap-pmmh,marginal-gibbs,andrews,nuts,prior,truth"
 )
 COVERED = "conditional,ekf,least-squares,storvik,liu-west,em"
 CHAINS, SEED, HELD_OUT, LEVEL = 4, 4, 0.25, 0.9

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
+from pmcl.calibration.evidence import filter_setting, particles_setting
 from pmcl.calibration.method import CalibrationMethod, Variant
 from pmcl.calibration.settings import setting
 
@@ -24,7 +25,7 @@ _LEAST_BURN_IN: Final = 100
 
 @dataclass(frozen=True)
 class Ensemble(CalibrationMethod):
-    """emcee's StretchMove or DEMove on the particle filter's estimate of the evidence; every walker is a chain.
+    """emcee's StretchMove or DEMove on a particle filter's estimate of the evidence; every walker is a chain.
 
     Chains are walkers here, of which the moves need many: there are at least 2 d + 2 for d parameters. Walkers start
     near the mode of the linearised model.
@@ -34,6 +35,9 @@ class Ensemble(CalibrationMethod):
     particles : int, optional
         Particles of each estimate. When left out, as many as make the standard deviation of its logarithm 1.2 near the
         mode: with fewer, a walker whose estimate is too great by luck stays where it is.
+    filter : {"guided", "bootstrap"}
+        The filter: guided along the most probable path, so that few particles suffice, or drawing from the motion model
+        as most filters do.
     move : {"stretch", "de"}
         The stretch move of Goodman and Weare, or differential evolution.
     burn_in : int, optional
@@ -53,15 +57,11 @@ class Ensemble(CalibrationMethod):
     description: ClassVar[str] = "emcee's stretch move or differential evolution on the pseudo-marginal target"
     variants: ClassVar[Mapping[str, Variant]] = {
         "ensemble-de": Variant({"move": "de"}, "the same with differential evolution"),
+        "bootstrap-ensemble": Variant({"filter": "bootstrap"}, "stretch moves on the estimates of a bootstrap filter"),
     }
 
-    particles: int | None = setting(
-        None,
-        "Particles of the filter.",
-        least=2,
-        otherwise="by the measured scatter of the evidence",
-        advice="25 to 1000 are usual",
-    )
+    particles: int | None = particles_setting()
+    filter: Literal["guided", "bootstrap"] = filter_setting()
     move: Literal["stretch", "de"] = setting(
         "stretch", "stretch: the stretch move. de: differential evolution.", choices=("stretch", "de")
     )
@@ -84,19 +84,22 @@ class Ensemble(CalibrationMethod):
 
     def run(self, bound: BoundModel, options: RunOptions) -> Chains:
         """Run the ensemble, see :meth:`CalibrationMethod.run`."""
-        from pmcl.sampling.ensemble import estimates_ratio, run_ensemble
+        from pmcl.sampling.ensemble import run_ensemble
         from pmcl.sampling.near_mode import near_mode
-        from pmcl.sampling.pseudo_marginal import chosen_particles
+        from pmcl.sampling.pseudo_marginal import chosen_particles, evidence_filter, redrawn_ratio
+        from pmcl.sampling.transforms import Unconstrained
 
         near = near_mode(bound, options.seed)
+        estimate = evidence_filter(self.filter, bound, near, options.seed)
         particles = self.particles
         if particles is None:
-            particles = chosen_particles(estimates_ratio(bound, near), options.seed)
+            centre = Unconstrained(bound.parameters).from_line(near.centre)[0]
+            particles = chosen_particles(redrawn_ratio(estimate, centre), options.seed)
         method = replace(self, particles=particles).resolved(bound, options)
         assert method.burn_in is not None
         options = replace(options, chains=max(options.chains, 2 * bound.dimension + 2))
         return run_ensemble(
-            bound,
+            estimate,
             particles=particles,
             burn_in=method.burn_in,
             options=options,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
+from pmcl.calibration.evidence import filter_setting, particles_setting
 from pmcl.calibration.method import CalibrationMethod, Variant
 from pmcl.calibration.settings import setting
 
@@ -26,7 +27,7 @@ _ACCEPTANCE: Final = 0.15
 
 @dataclass(frozen=True)
 class ParticleMetropolis(CalibrationMethod):
-    """Adaptive random-walk Metropolis on the particle filter's estimate of the evidence: the exact posterior.
+    """Adaptive random-walk Metropolis on a particle filter's estimate of the evidence: the exact posterior.
 
     With one block of random numbers it is particle marginal Metropolis-Hastings; with more it is the correlated
     pseudo-marginal method, whose proposals keep the random numbers of all blocks of rows but one. The filter resamples
@@ -38,6 +39,9 @@ class ParticleMetropolis(CalibrationMethod):
     ----------
     particles : int, optional
         Particles of each estimate; measured when left out.
+    filter : {"guided", "bootstrap"}
+        The filter: guided along the most probable path, so that few particles suffice, or drawing from the motion model
+        as in the papers.
     blocks : int
         Blocks of random numbers.
     tuning_steps : tuple of int
@@ -53,18 +57,14 @@ class ParticleMetropolis(CalibrationMethod):
     """
 
     name: ClassVar[str] = "pmmh"
-    description: ClassVar[str] = "particle marginal Metropolis-Hastings, exact"
+    description: ClassVar[str] = "particle marginal Metropolis-Hastings by a guided filter, exact"
     variants: ClassVar[Mapping[str, Variant]] = {
         "correlated-pmmh": Variant({"blocks": 50}, "the same with correlated estimates of the evidence"),
+        "bootstrap-pmmh": Variant({"filter": "bootstrap"}, "the same by a bootstrap filter, as in the paper"),
     }
 
-    particles: int | None = setting(
-        None,
-        "Particles of the filter.",
-        least=2,
-        otherwise="by the measured scatter of the evidence",
-        advice="25 to 1000 are usual",
-    )
+    particles: int | None = particles_setting()
+    filter: Literal["guided", "bootstrap"] = filter_setting()
     blocks: int = setting(
         1,
         "Blocks of random numbers, of which each proposal redraws one: 1 is the plain method, 50 the correlated one, "
@@ -82,18 +82,19 @@ class ParticleMetropolis(CalibrationMethod):
         """Run the chains, see :meth:`CalibrationMethod.run`."""
         from pmcl.sampling.near_mode import near_mode
         from pmcl.sampling.particle_target import ParticleTarget
-        from pmcl.sampling.pseudo_marginal import chosen_particles, redrawn_ratio
+        from pmcl.sampling.pseudo_marginal import chosen_particles, evidence_filter, redrawn_ratio
         from pmcl.sampling.random_walk import WalkPlan, run_random_walk
         from pmcl.sampling.session import check_run_memory
         from pmcl.sampling.transforms import Unconstrained
 
         near = near_mode(bound, options.seed)
+        estimate = evidence_filter(self.filter, bound, near, options.seed)
         particles = self.particles
         if particles is None:
             centre = Unconstrained(bound.parameters).from_line(near.centre)[0]
-            particles = chosen_particles(redrawn_ratio(bound, centre, self.blocks), options.seed)
+            particles = chosen_particles(redrawn_ratio(estimate, centre, self.blocks), options.seed)
         method = replace(self, particles=particles)
         check_run_memory(bound, options.chains, particles, options)
-        target = ParticleTarget(bound, particles, method.blocks)
+        target = ParticleTarget(estimate, particles, method.blocks)
         plan = WalkPlan(method.tuning_steps, method.proposals_per_draw, _ACCEPTANCE)
         return run_random_walk(target, near, plan, options, method.record(options))

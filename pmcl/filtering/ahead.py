@@ -8,7 +8,7 @@ from pmcl.engine.compile_ahead import Call, compile_ahead
 from pmcl.engine.contract import state_size
 from pmcl.engine.tables import with_extras
 from pmcl.filtering.kernels import linear, smc
-from pmcl.filtering.kernels.guided import Guide, guide_of, guided_pass
+from pmcl.filtering.kernels.guided import Cloud, Guide, History, guide_of, guided_rows
 from pmcl.filtering.kernels.resampling import SCHEMES, AnyScheme
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.motions.joined.table import joined_tables, parts_of_joined
@@ -97,9 +97,12 @@ def _guided(tables: Tables) -> list[Call]:
     size = int(state_size(tables.motion))
     path, square = np.empty((1, size)), np.empty((1, size * size))
     guide = Guide(path, square, square, path, square, path)
+    settings = (np.ones(1, dtype=np.int64), 0.1, 1.0, 0, 1, False)
+    cloud = Cloud(np.empty(size), np.empty(1), np.empty(1), np.zeros(1, dtype=np.int64), np.zeros(1))
+    history = History(np.empty((0, size, 1)), np.zeros((0, 1), dtype=np.uint32))
     return [
         (guide_of, (tables, linear_readings, path, False)),
-        (guided_pass, (tables, guide, np.ones(1, dtype=np.int64), 0.1, 1.0, make_rng(0))),
+        (guided_rows, (tables, guide, *settings, make_rng(0), cloud, history, np.zeros((1, 2)))),
     ]
 
 

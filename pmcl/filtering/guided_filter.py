@@ -10,21 +10,26 @@ estimates are far too small, as with a filter that has lost the robot.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pmcl.engine.contract import looks_back
 from pmcl.errors import FilterError
 from pmcl.filtering.heavy_tails import with_expected_noise
-from pmcl.filtering.kernels.guided import Guide, guide_of, guided_pass
+from pmcl.filtering.kernels.guided import Cloud, Guide, History, guide_of, guided_rows
 from pmcl.filtering.linearised_evidence import LinearisedEvidence, improved
 from pmcl.filtering.particle_filter import make_rng, raise_outcome
 from pmcl.interrupts import check_interrupt
 from pmcl.models.robot_model import BoundModel
+from pmcl.models.tables import Tables
 
-__all__ = ["GuidedFilter"]
+__all__ = ["GuidedFilter", "GuidedPass", "guide_along", "looks_back_anywhere", "needed_counts", "run_guided"]
 
 Float = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 # This share of the states is drawn so many times as far from the linearised path: weights then exceed those of the
 # linearised model by a tenth at most in each row, also where it is too narrow. Shares of 0.1 to 0.3 and factors of 2 to
@@ -33,6 +38,138 @@ _WIDE_SHARE, _WIDE = 0.1, 3.0
 # A row in which fewer than this share of the particles are effective gets more of them, up to so many times as many.
 # Beams that cross an edge leave some rows in a hundred with a tenth; twenty times as many there double the time.
 _EFFECTIVE, _MOST_TIMES = 0.5, 20
+
+
+class GuidedPass(NamedTuple):
+    """One pass of the guided filter.
+
+    Attributes
+    ----------
+    steps : ndarray, shape (T, 2)
+        Log weight of each row [nat], and the share of its particles that are effective.
+    cloud : Cloud
+        The particles of the first row.
+    history : History
+        All particles, if they were asked for.
+    """
+
+    steps: Float
+    cloud: Cloud
+    history: History
+
+    @property
+    def log_evidence(self) -> float:
+        """Log of the unbiased estimate of p(readings | theta)."""
+        return float(self.steps[:, 0].sum())
+
+    @property
+    def effective_share(self) -> float:
+        """Mean over the rows of the share of the particles that are effective."""
+        return float(self.steps[:, 1].mean())
+
+    def draw_path(self, tables: Tables, rng: np.random.Generator) -> Float:
+        """Return the path that ends in one of the first row's particles, (T, D); `tables` are not needed."""
+        n = int(self.cloud.number[0])
+        weights = self.cloud.log_weights[:n]
+        particle = int(rng.choice(n, p=weights / weights.sum()))
+        states, later = self.history
+        path = np.empty(states.shape[:2])
+        for t in range(len(path)):
+            path[t] = states[t, :, particle]
+            particle = int(later[t, particle])
+        return path
+
+
+def guide_along(evidence: LinearisedEvidence, number: int, tables: Tables) -> Guide | None:
+    """Return the guide along the reference path of one log; None where there is no Gaussian path.
+
+    Parameters
+    ----------
+    evidence : LinearisedEvidence
+        Linearised at some theta near that of the tables.
+    number : int
+        Which log.
+    tables : Tables
+        Coefficients of that log under some theta.
+    """
+    reference = evidence.references[number]
+    linear, readings = evidence.linear_model(number, tables)
+    smooth = with_expected_noise(linear, reference, make_rng(0))
+    fine, *arrays = guide_of(smooth, readings, reference, looks_back_anywhere(tables))
+    return Guide(reference, *arrays) if fine else None
+
+
+def run_guided(
+    tables: Tables,
+    guide: Guide,
+    counts: Counts,
+    rngs: Sequence[np.random.Generator],
+    *,
+    ordered: bool = False,
+    with_history: bool = False,
+) -> GuidedPass:
+    """Run the guided filter once over a log.
+
+    Parameters
+    ----------
+    tables : Tables
+        Coefficients under some theta.
+    guide : Guide
+        From :func:`guide_along`.
+    counts : ndarray of int, shape (T,)
+        Particles of each row.
+    rngs : sequence of numpy.random.Generator
+        Sources of randomness, among which the rows are shared out evenly.
+    ordered : bool
+        Whether particles are resampled in the order of a Hilbert curve, which correlated estimates need.
+    with_history : bool
+        Whether all particles are kept, from which a path can be drawn.
+
+    Raises
+    ------
+    FilterError
+        When every particle gets weight zero.
+    DensityError
+        When a density is not a number.
+    """
+    check_interrupt()
+    (n_steps, size), most = guide.reference.shape, int(counts.max())
+    cloud = Cloud(np.empty(size * most), np.empty(most), np.empty(most), np.zeros(1, dtype=np.int64), np.zeros(1))
+    kept = n_steps if with_history else 0
+    history = History(np.empty((kept, size, most)), np.zeros((kept, most), dtype=np.uint32))
+    steps = np.zeros((n_steps, 2))
+    bounds = np.linspace(0, n_steps, len(rngs) + 1).astype(int)
+    for block in range(len(rngs) - 1, -1, -1):
+        begin, stop = int(bounds[block]), int(bounds[block + 1])
+        if begin < stop:
+            status, t = guided_rows(
+                tables, guide, counts, _WIDE_SHARE, _WIDE, begin, stop, ordered, rngs[block], cloud, history, steps
+            )
+            raise_outcome(status, t, "guided filter")
+    return GuidedPass(steps, cloud, history)
+
+
+def looks_back_anywhere(tables: Tables) -> bool:
+    """Return whether a reading of some sensor depends on the state before as well."""
+    return any(bool(looks_back(sensor)) for sensor in tables.sensors)
+
+
+def needed_counts(particles: int, effective: Float, with_state_before: bool) -> Counts:
+    """Return how many particles each row should have, (T,), given the share that is effective there.
+
+    Parameters
+    ----------
+    particles : int
+        Of most rows.
+    effective : ndarray, shape (T,)
+        The shares, by a pass of the filter.
+    with_state_before : bool
+        Whether readings depend on the state before as well, so that they are weighed after that is drawn.
+    """
+    needed = 1.0 / np.maximum(effective, 1.0 / particles)
+    if with_state_before:
+        needed[:-1] = np.maximum(needed[:-1], needed[1:])
+    return np.ceil(particles * np.clip(_EFFECTIVE * needed, 1.0, _MOST_TIMES)).astype(np.int64)
 
 
 class GuidedFilter:
@@ -59,24 +196,16 @@ class GuidedFilter:
 
     def __init__(self, bound: BoundModel, theta: Float, *paths: Float) -> None:
         self._tables = bound.tables(theta)[0]
-        self._looks_back = any(bool(looks_back(sensor)) for sensor in self._tables.sensors)
-        guides = [self._guide(bound, theta, path) for path in paths]
+        self._looks_back = looks_back_anywhere(self._tables)
+        guides = [
+            guide_along(improved(LinearisedEvidence(bound, theta, [path]), theta), 0, self._tables) for path in paths
+        ]
         self._guides = [guide for guide in guides if guide is not None]
         if not self._guides:
             raise FilterError(
                 f"{bound.logs[0].where}: the linearised model has no Gaussian path; give the motion model noise in "
                 "every direction"
             )
-
-    def _guide(self, bound: BoundModel, theta: Float, path: Float) -> Guide | None:
-        """Return the guide near a path; None where there is no Gaussian path."""
-        evidence = improved(LinearisedEvidence(bound, theta, [path]), theta)
-        reference = evidence.references[0]
-        tables, readings = evidence.linear_model(0, self._tables)
-        fine, *arrays = guide_of(
-            with_expected_noise(tables, reference, make_rng(0)), readings, reference, self._looks_back
-        )
-        return Guide(reference, *arrays) if fine else None
 
     def log_scores(self, particles: int, passes: int, seed: int | np.random.SeedSequence) -> Float:
         """Return the log scores of the rows by some passes.
@@ -106,13 +235,10 @@ class GuidedFilter:
         """
         rng = make_rng(seed)
         guide, effective = self._best(np.full(len(self._guides[0].reference), particles), rng)
-        needed = 1.0 / np.maximum(effective, 1.0 / particles)
-        if self._looks_back:  # readings are weighed after the row before is drawn
-            needed[:-1] = np.maximum(needed[:-1], needed[1:])
-        counts = np.ceil(particles * np.clip(_EFFECTIVE * needed, 1.0, _MOST_TIMES)).astype(np.int64)
+        counts = needed_counts(particles, effective, self._looks_back)
         return np.array([self._steps(guide, counts, rng)[:, 0] for _ in range(passes)])
 
-    def _best(self, counts: NDArray[np.int64], rng: np.random.Generator) -> tuple[Guide, Float]:
+    def _best(self, counts: Counts, rng: np.random.Generator) -> tuple[Guide, Float]:
         """Return the guide with the greatest evidence, and the share of the particles that are effective, (T,)."""
         best, found, failure = -np.inf, None, FilterError()
         for guide in self._guides:
@@ -127,8 +253,5 @@ class GuidedFilter:
             raise failure
         return found
 
-    def _steps(self, guide: Guide, counts: NDArray[np.int64], rng: np.random.Generator) -> Float:
-        check_interrupt()
-        status, t, steps = guided_pass(self._tables, guide, counts, _WIDE_SHARE, _WIDE, rng)
-        raise_outcome(status, t, "guided filter")
-        return np.asarray(steps)
+    def _steps(self, guide: Guide, counts: Counts, rng: np.random.Generator) -> Float:
+        return run_guided(self._tables, guide, counts, [rng]).steps

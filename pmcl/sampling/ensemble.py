@@ -1,6 +1,6 @@
 """The ensemble variant: emcee's own moves on the pseudo-marginal target.
 
-The target is theta -> log prior + log of the particle filter's estimate of p(readings | theta). The estimate's
+The target is theta -> log prior + log of a particle filter's estimate of p(readings | theta). The estimate's
 exponential is unbiased, so the chain's theta has the exact posterior (Andrieu and Roberts 2009). The randomness of an
 estimate is a function of theta and the seed: it is never drawn again for the current state, and no pool changes it.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,22 +17,21 @@ from emcee.moves import DEMove, StretchMove
 from emcee.state import State
 from numpy.typing import NDArray
 
-from pmcl.errors import FilterError, ModelError, SamplingError
+from pmcl.errors import SamplingError
 from pmcl.filtering.not_a_number import check_density, parameters_told
-from pmcl.filtering.particle_filter import log_joint, make_rng, update_path
-from pmcl.models.robot_model import BoundModel
+from pmcl.filtering.particle_filter import make_rng
 from pmcl.sampling.advance import StageRunner
 from pmcl.sampling.chains import Chains
 from pmcl.sampling.near_mode import NearMode
 from pmcl.sampling.options import RunOptions, SettingValue
+from pmcl.sampling.pseudo_marginal import EvidenceFilter, draw_numbers, paths_of
 from pmcl.sampling.session import check_run_memory, collected, run_session
 from pmcl.sampling.stages import BURN_IN_SHARE, INCLUSION_SHARE
 from pmcl.sampling.state import state_dimension
 from pmcl.sampling.stopwatch import Stopwatch
-from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
 
-__all__ = ["EstimateInfo", "PseudoMarginalTarget", "estimates_ratio", "first_walkers", "run_ensemble"]
+__all__ = ["EstimateInfo", "PseudoMarginalTarget", "first_walkers", "run_ensemble"]
 
 Float = NDArray[np.float64]
 
@@ -61,8 +60,8 @@ class PseudoMarginalTarget:
 
     Parameters
     ----------
-    bound : BoundModel
-        The model bound to its logs.
+    estimate : EvidenceFilter
+        The filter, with a model that is bound to its logs.
     particles : int
         Number of particles n; the variance of the log estimate should be about 1 (Doucet, Pitt, Deligiannidis, Kohn
         2015).
@@ -75,9 +74,9 @@ class PseudoMarginalTarget:
         That of a blob: the trajectory, the log joint density, and the fields of :class:`EstimateInfo`.
     """
 
-    def __init__(self, bound: BoundModel, particles: int, seed: int) -> None:
-        self.bound, self.particles, self.seed = bound, particles, seed
-        self.path_shape = (sum(bound.lengths), state_dimension(bound))
+    def __init__(self, estimate: EvidenceFilter, particles: int, seed: int) -> None:
+        self.estimate, self.bound, self.particles, self.seed = estimate, estimate.bound, particles, seed
+        self.path_shape = (sum(self.bound.lengths), state_dimension(self.bound))
         numbers: list[Any] = [(name, np.float64) for name in ("log_joint", *EstimateInfo._fields)]
         self.dtype = np.dtype([("path", np.float64, self.path_shape), *numbers])
 
@@ -93,39 +92,17 @@ class PseudoMarginalTarget:
         info, joint = EstimateInfo(), -math.inf
         if prior > -math.inf:
             key = hashlib.sha256(theta.tobytes() + str(self.seed).encode()).digest()[:16]
-            rng = make_rng(np.random.SeedSequence(int.from_bytes(key, "little")))
-            try:
-                bound.check(theta)
-                tables = bound.tables(theta)
-                paths = included(bound, path, max(bound.lengths))
-                with parameters_told(bound, theta):
-                    updates = [
-                        update_path(table, log_path, len(log_path), self.particles, rng, "smoothing")
-                        for table, log_path in zip(tables, paths, strict=True)
-                    ]
-            except (FilterError, ModelError):
-                updates = []
-            if updates and all(update.succeeded for update in updates):
+            numbers = draw_numbers(make_rng(np.random.SeedSequence(int.from_bytes(key, "little"))), 1)
+            with parameters_told(bound, theta):
+                found = self.estimate(theta, self.particles, numbers)
+            if math.isfinite(found.log_evidence):
                 info = EstimateInfo(
-                    log_evidence=math.fsum(update.log_evidence for update in updates),
-                    particle_ess=float(np.mean([update.effective_share for update in updates])),
+                    log_evidence=found.log_evidence,
+                    particle_ess=float(np.mean([one.effective_share for one in found.passes])),
                 )
-                joint = math.fsum(log_joint(t, log_path) for t, log_path in zip(tables, paths, strict=True))
-                joint = prior + check_density(joint, bound, theta, paths)
+                paths, joint = paths_of(found, int(numbers[-1]))
+                path, joint = np.concatenate(paths), prior + check_density(joint, bound, theta, paths)
         return prior + info.log_evidence, path, joint, *info
-
-
-def estimates_ratio(bound: BoundModel, near: NearMode) -> Callable[[int, np.random.Generator], float]:
-    """Return a function (particles, generator) -> log of the ratio of two estimates near the mode."""
-    theta = Unconstrained(bound.parameters).from_line(near.centre)[0]
-
-    def log_ratio(particles: int, rng: np.random.Generator) -> float:
-        first, second = (
-            float(PseudoMarginalTarget(bound, particles, int(seed))(theta)[0]) for seed in rng.integers(0, 2**62, 2)
-        )
-        return second - first if math.isfinite(first) else math.inf
-
-    return log_ratio
 
 
 def first_walkers(
@@ -195,7 +172,7 @@ def first_walkers(
 
 
 def run_ensemble(
-    bound: BoundModel,
+    estimate: EvidenceFilter,
     *,
     particles: int,
     burn_in: int,
@@ -208,10 +185,10 @@ def run_ensemble(
 
     Parameters
     ----------
-    bound : BoundModel
-        The model bound to its logs.
+    estimate : EvidenceFilter
+        The filter, with a model that is bound to its logs.
     particles : int
-        Number of particles of each evidence estimate.
+        Number of particles of each estimate of the evidence.
     burn_in : int
         Steps before those that are kept.
     options : RunOptions
@@ -232,13 +209,14 @@ def run_ensemble(
     SamplingError
         When there are too few walkers, the ensemble cannot start, or the checkpoint does not fit.
     """
+    bound = estimate.bound
     if options.chains < 2 * bound.dimension:
         raise SamplingError(
             f"an ensemble needs at least twice as many walkers as parameters ({2 * bound.dimension}), but got "
             f"{options.chains}; ask for more chains"
         )
     check_run_memory(bound, options.chains, particles, options)
-    target = PseudoMarginalTarget(bound, particles, options.seed)
+    target = PseudoMarginalTarget(estimate, particles, options.seed)
     state: State | None = None
     with run_session(bound, settings, options.chains, options) as session:
         backends = [

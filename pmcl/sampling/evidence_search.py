@@ -14,7 +14,7 @@ from pmcl.filtering.estimated_path import plausible_theta
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.point_estimates import standard_errors
-from pmcl.sampling.pseudo_marginal import draw_numbers, estimate_evidence
+from pmcl.sampling.pseudo_marginal import BootstrapEvidence, draw_numbers
 from pmcl.sampling.stopwatch import Stopwatch, TimeOver
 from pmcl.sampling.transforms import Unconstrained
 
@@ -58,7 +58,7 @@ def most_evident(
         When the readings have no probability wherever the search looked.
     """
     rng, transform = make_rng(np.random.SeedSequence((seed, 43))), Unconstrained(bound.parameters)
-    numbers = draw_numbers(rng, 1)
+    numbers, estimate = draw_numbers(rng, 1), BootstrapEvidence(bound)
     start = transform.to_line(plausible_theta(bound, rng))
     best: list[tuple[float, Float]] = []
 
@@ -66,7 +66,7 @@ def most_evident(
         theta = transform.from_line(np.asarray(u, dtype=float))[0]
         if not math.isfinite(bound.log_prior(theta)):
             return -math.inf
-        return estimate_evidence(bound, theta, particles, numbers, ordered=True).log_evidence
+        return estimate(theta, particles, numbers, ordered=True).log_evidence
 
     def cost(u: Float) -> float:
         value = log_evidence(u)

@@ -181,7 +181,7 @@ def test_all_effects_together_need_few_combinations_of_table_types(simulate, mon
     foreseen = []
     monkeypatch.setattr(ahead, "compile_ahead", foreseen.extend)
     ahead.compile_for_criticism(tables)
-    known = {numba.typeof(arguments[0]) for function, arguments in foreseen if function.__name__ == "guided_pass"}
+    known = {numba.typeof(arguments[0]) for function, arguments in foreseen if function.__name__ == "guided_rows"}
     met = {numba.typeof(tables): ["no effect"]}
     for effect in candidates(log):
         values = np.array(next(iter(effect.typical.values())), dtype=float)

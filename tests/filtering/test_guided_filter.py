@@ -13,11 +13,11 @@ from oracles.random_walk_model import RailSensor, rail_log, rail_model
 from pmcl.engine.contract import state_size, widens
 from pmcl.errors import FilterError
 from pmcl.filtering import guided_filter
-from pmcl.filtering.guided_filter import GuidedFilter
+from pmcl.filtering.guided_filter import GuidedFilter, guide_along, run_guided
 from pmcl.filtering.heavy_tails import inverse_freedom, with_expected_noise
-from pmcl.filtering.kernels.guided import Guide, guide_of, guided_pass
+from pmcl.filtering.kernels.guided import Guide, guide_of
 from pmcl.filtering.linearised_evidence import LinearisedEvidence
-from pmcl.filtering.particle_filter import make_rng, run_filter
+from pmcl.filtering.particle_filter import draw_paths, make_rng, run_filter
 from pmcl.logs.joined import join_logs
 from pmcl.models.effects.selection import effect_named
 from pmcl.models.robot_model import default_model
@@ -35,8 +35,14 @@ def fine_guide(tables, readings, path, with_readings):
     return Guide(path, *arrays)
 
 
+@pytest.fixture
+def narrow(monkeypatch):
+    """All states are drawn as the linearised model has them, none more widely."""
+    monkeypatch.setattr(guided_filter, "_WIDE_SHARE", 0.0)
+
+
 @pytest.mark.parametrize("with_readings", [False, True])
-def test_each_weight_is_the_kalman_filters_predictive_density(with_readings, rng):
+def test_each_weight_is_the_kalman_filters_predictive_density(with_readings, narrow, rng):
     """The same for all particles, however few, along any path; also where readings are weighed one row later."""
     log = rail_log(40, seed=5, missing=(3, 4, 20))
     bound = rail_model().bind(log)
@@ -47,15 +53,31 @@ def test_each_weight_is_the_kalman_filters_predictive_density(with_readings, rng
     linear, readings = LinearisedEvidence(bound, THETA, [path]).linear_model(0, tables)
     guide = fine_guide(linear, readings, path, False)
     counts = rng.integers(2, 9, 40)
-    status, _, steps = guided_pass(tables, guide, counts, 0.0, 1.0, make_rng(1))
-    assert status == 0
+    steps = run_guided(tables, guide, counts, [make_rng(1)]).steps
     np.testing.assert_allclose(steps[:, 0], np.diff([0.0, *exact]), atol=1e-6)
     np.testing.assert_allclose(steps[:, 1], 1.0)
     # A belief that knows the row's own readings counts them twice, unless they are weighed one row later.
     if with_readings:
         knowing = fine_guide(linear, readings, path, True)
-        _, _, wrong = guided_pass(tables, knowing, counts, 0.0, 1.0, make_rng(1))
+        wrong = run_guided(tables, knowing, counts, [make_rng(1)]).steps
         assert wrong[:, 0].std() > 0.1
+
+
+def test_paths_are_drawn_as_kalmans_smoother_has_them(narrow, rng):
+    """In a linear model the paths of single passes are independent draws; means and covariances of neighbours agree."""
+    bound = rail_model().bind(rail_log(20, seed=5, missing=(3, 4)))
+    tables = bound.tables(THETA)[0]
+    path = 50.0 + rng.standard_normal((20, 1))
+    guide = guide_along(LinearisedEvidence(bound, THETA, [path]), 0, tables)
+    counts, rngs = rng.integers(2, 9, 20), [make_rng(1)]
+    drawn = np.array(
+        [run_guided(tables, guide, counts, rngs, with_history=True).draw_path(tables, rng)[:, 0] for _ in range(4000)]
+    )
+    mean, covariance = kalman.path_posterior(kalman.linear_model(tables), *THETA)
+    root = np.linalg.cholesky(covariance)
+    z = np.linalg.solve(root, (drawn - mean).T)
+    assert np.abs(z.mean(axis=1)).max() < 4.0 / np.sqrt(4000)
+    assert np.abs(z @ z.T / 4000 - np.eye(20)).max() < 5.0 * np.sqrt(2.0 / 4000)
 
 
 def true_path(log):
@@ -114,6 +136,26 @@ def test_it_is_unbiased_along_a_poor_path_too(case, monkeypatch, rng):
     off, error = differ(*relative(bound, theta, shifted, large, passes=4000))
     assert error < 0.08
     assert off < 4.0
+
+
+@pytest.mark.slow
+def test_paths_have_the_means_of_smoothed_ones(case):
+    """Passes weighed by their evidence, with resampling at every other row; against paths drawn backward."""
+    bound, theta, path, _ = case
+    tables, rng = bound.tables(theta)[0], make_rng(9)
+    guide = guide_along(LinearisedEvidence(bound, theta, [path]), 0, tables)
+    counts = np.resize([40, 60], len(path))
+    passes = [run_guided(tables, guide, counts, [rng], with_history=True) for _ in range(3000)]
+    evidence = np.array([one.log_evidence for one in passes])
+    weight = np.exp(evidence - evidence.max())
+    weight /= weight.mean()
+    ours = np.array([one.draw_path(tables, rng) for one in passes]) - path
+    # Paths of one filter share its few particles that explain the later rows; filters are independent.
+    theirs = np.array([draw_paths(tables, run_filter(tables, len(path), 10_000, rng), 50, rng) for _ in range(60)])
+    for power in (1, 2):
+        value, filters = weight[:, None, None] * ours**power, ((theirs - path) ** power).mean(axis=1)
+        error = np.hypot(value.std(axis=0) / np.sqrt(len(value)), filters.std(axis=0, ddof=1) / np.sqrt(len(filters)))
+        assert np.abs((value.mean(axis=0) - filters.mean(axis=0)) / error).max() < 4.5
 
 
 @pytest.mark.slow

@@ -13,10 +13,10 @@ from oracles.random_walk_model import rail_log, rail_model
 from pmcl.calibration import Ensemble, ParticleGibbs
 from pmcl.errors import SamplingError
 from pmcl.filtering.particle_filter import log_joint
-from pmcl.sampling.ensemble import PseudoMarginalTarget, estimates_ratio, first_walkers, run_ensemble
+from pmcl.sampling.ensemble import PseudoMarginalTarget, first_walkers, run_ensemble
 from pmcl.sampling.near_mode import near_mode
 from pmcl.sampling.options import RunOptions
-from pmcl.sampling.pseudo_marginal import chosen_particles
+from pmcl.sampling.pseudo_marginal import BootstrapEvidence, chosen_particles, redrawn_ratio
 
 T = 10
 MATTERS = 0.4
@@ -74,9 +74,10 @@ def test_a_target_that_mistakes_theta_is_noticed(bound, exact, monkeypatch):
 def test_an_estimate_is_a_function_of_theta_and_seed(bound):
     """It is never drawn again for the same theta, in whatever process."""
     theta = np.array([0.5, 0.4])
-    target = PseudoMarginalTarget(bound, 20, 1)
+    target = PseudoMarginalTarget(BootstrapEvidence(bound), 20, 1)
     value, *blob = target(theta)
-    again, other = pickle.loads(pickle.dumps(target))(theta), PseudoMarginalTarget(bound, 20, 2)(theta)
+    again = pickle.loads(pickle.dumps(target))(theta)
+    other = PseudoMarginalTarget(BootstrapEvidence(bound), 20, 2)(theta)
     assert value == again[0]
     assert value != other[0]
     told = dict(zip(target.dtype.names, blob, strict=True))
@@ -88,21 +89,20 @@ def test_an_estimate_is_a_function_of_theta_and_seed(bound):
 
 @pytest.mark.parametrize("theta", [[-0.1, 0.4], [0.5, -1e-9]])
 def test_theta_outside_the_prior_has_no_density(bound, theta):
-    assert PseudoMarginalTarget(bound, 20, 1)(np.array(theta))[0] == -np.inf
+    assert PseudoMarginalTarget(BootstrapEvidence(bound), 20, 1)(np.array(theta))[0] == -np.inf
 
 
 def test_the_number_of_particles_follows_from_the_scatter_of_the_evidence(bound):
     """More of them where the readings are sharper than the motion."""
-    near = near_mode(bound, 1)
-    usual = chosen_particles(estimates_ratio(bound, near), 1)
-    sharp = near._replace(centre=np.log([1.0, 0.02]))
-    assert chosen_particles(estimates_ratio(bound, sharp), 1) > 4 * usual
-    run = Ensemble(burn_in=2).run(bound, RunOptions(draws=2, chains=6, seed=1, trajectories=1))
+    estimate, centre = BootstrapEvidence(bound), np.exp(near_mode(bound, 1).centre)
+    usual = chosen_particles(redrawn_ratio(estimate, centre), 1)
+    assert chosen_particles(redrawn_ratio(estimate, np.array([1.0, 0.02])), 1) > 4 * usual
+    run = Ensemble(burn_in=2, filter="bootstrap").run(bound, RunOptions(draws=2, chains=6, seed=1, trajectories=1))
     assert run.settings["particles"] == usual
 
 
 def test_the_ensemble_starts_from_the_best_of_many_draws(bound):
-    target = PseudoMarginalTarget(bound, 20, 1)
+    target = PseudoMarginalTarget(BootstrapEvidence(bound), 20, 1)
     state = first_walkers(target, 6, seed=4, pool=None)
     assert state.coords.shape == (6, 2)
     assert np.isfinite(state.log_prob).all()
@@ -111,4 +111,6 @@ def test_the_ensemble_starts_from_the_best_of_many_draws(bound):
 
 def test_too_few_walkers_are_refused(bound):
     with pytest.raises(SamplingError, match="at least twice as many walkers as parameters"):
-        run_ensemble(bound, particles=20, burn_in=2, options=RunOptions(draws=2, chains=3), settings={})
+        run_ensemble(
+            BootstrapEvidence(bound), particles=20, burn_in=2, options=RunOptions(draws=2, chains=3), settings={}
+        )

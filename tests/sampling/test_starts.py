@@ -17,6 +17,7 @@ from pmcl.models.robot_model import RobotModel
 from pmcl.sampling.ensemble import PseudoMarginalTarget
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.options import RunOptions
+from pmcl.sampling.pseudo_marginal import BootstrapEvidence
 from pmcl.sampling.schedule import Schedule
 from pmcl.sampling.state import from_blob, into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain, step
@@ -96,7 +97,7 @@ def _starts(bound):
 
 
 def _estimates_the_evidence(bound):
-    PseudoMarginalTarget(bound, 20, 1)(np.array([0.5, 1.25]))
+    PseudoMarginalTarget(BootstrapEvidence(bound), 20, 1)(np.array([0.5, 1.25]))
 
 
 def _evaluates_the_linearised_evidence(bound):

@@ -40,9 +40,10 @@ from pmcl.engine.sensor_tuples import any_look_back, any_reading, sum_informatio
 from pmcl.filtering.kernels.factorisation import Factors, cholesky, eliminate, solve
 from pmcl.filtering.kernels.forward import work_rows
 from pmcl.filtering.kernels.resampling import SYSTEMATIC, AnyScheme, draw_parents
+from pmcl.filtering.kernels.stepwise import hilbert_keys
 from pmcl.filtering.kernels.weighing import FINE, normalise
 
-__all__ = ["Guide", "guide_of", "guided_pass"]
+__all__ = ["Cloud", "Guide", "History", "guide_of", "guided_rows"]
 
 Float = NDArray[np.float64]
 
@@ -243,9 +244,46 @@ def _add_transitions(motion, t, before, after, logp, work, size):
         logp[m] += value[0]
 
 
+class Cloud(NamedTuple):
+    """The particles of the row that was drawn last, as one part of a pass hands them to the next.
+
+    Attributes
+    ----------
+    states : ndarray, shape (D * n_most,)
+        States (D, n), one component after the other.
+    belief, log_weights : ndarray, shape (n_most,)
+        Log density of the row's belief at each of them, and what they weigh.
+    number : ndarray of int, shape (1,)
+        Their number n.
+    log_norm : ndarray, shape (1,)
+        Log of the sum of their weights before the next row is weighed.
+    """
+
+    states: Float
+    belief: Float
+    log_weights: Float
+    number: NDArray[np.int64]
+    log_norm: Float
+
+
+class History(NamedTuple):
+    """All particles of a pass, from which a path is drawn.
+
+    Attributes
+    ----------
+    states : ndarray, shape (T, D, n_most)
+        States of each row.
+    later : ndarray of uint32, shape (T, n_most)
+        For each particle, the one of the row after it that it was drawn from.
+    """
+
+    states: Float
+    later: NDArray[np.uint32]
+
+
 @entry
-def guided_pass(tables, guide, counts, wide_share, wide, rng):
-    """Run the guided filter once over a log.
+def guided_rows(tables, guide, counts, wide_share, wide, begin, stop, ordered, rng, cloud, history, steps):
+    """Run the guided filter over the rows stop - 1 ... begin, going on from row `stop`.
 
     Parameters
     ----------
@@ -257,30 +295,42 @@ def guided_pass(tables, guide, counts, wide_share, wide, rng):
         Particles of each row.
     wide_share, wide : float
         Share of the states that are drawn so many times as far from the centre.
+    begin, stop : int
+        Rows.
+    ordered : bool
+        Whether particles are resampled in the order of a Hilbert curve, which correlated estimates need.
     rng : numpy.random.Generator
-        Source of randomness.
+        The random numbers of these rows, and of no others.
+    cloud : Cloud
+        The particles of row `stop`; overwritten by those of row `begin`, with their normalised weights if it is 0.
+    history : History
+        Filled, unless it has no rows.
+    steps : ndarray, shape (T, 2)
+        Filled with the log of the mean weight of each row, which sum to the log of an unbiased estimate of the
+        evidence, and with the share of the row's particles that are effective.
 
     Returns
     -------
     status, time : int
         Outcome, and the row at which it ended.
-    steps : ndarray, shape (T, 2)
-        Log of the mean weight of each row, which sum to the log of an unbiased estimate of the evidence, and the share
-        of the row's particles that are effective.
     """
-    n_steps, size, most = guide.reference.shape[0], state_size(tables.motion), counts.max()
-    looks_back = any_look_back(tables.sensors)
-    steps = np.zeros((n_steps, 2))
-    drawn, kept, gathered = np.empty(size * most), np.empty(size * most), np.empty(size * most)
-    log_weights, weights, belief, term = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    belief_after, parents = np.empty(most), np.empty(most, np.uint32)
+    n_steps, size, most = guide.reference.shape[0], state_size(tables.motion), cloud.belief.size
+    looks_back, told = any_look_back(tables.sensors), history.states.shape[0] > 0
+    drawn, kept, gathered = np.empty(size * most), cloud.states, np.empty(size * most)
+    log_weights, belief_after = cloud.log_weights, cloud.belief
+    weights, belief, term, parents = np.empty(most), np.empty(most), np.empty(most), np.empty(most, np.uint32)
     rows = work_rows(tables)
-    scratch, work = np.empty(rows * most), np.empty(3 * size + 1 + rows)
-    n = counts[n_steps - 1]
-    log_norm = math.log(n)
-    for m in range(n):
-        log_weights[m] = 0.0
-    for t in range(n_steps - 1, -1, -1):
+    scratch, work = np.empty(max(rows, 2) * most), np.empty(3 * size + 1 + rows)
+    in_order = most if ordered else 0
+    keys, sorted_weights, cell = np.empty(in_order, np.int64), np.empty(in_order), np.empty(size, np.int64)
+    spread, middle = np.empty(size), np.empty(size)
+    if stop == n_steps:
+        cloud.number[0] = counts[n_steps - 1]
+        cloud.log_norm[0] = math.log(cloud.number[0])
+        for m in range(cloud.number[0]):
+            log_weights[m] = 0.0
+    n, log_norm = cloud.number[0], cloud.log_norm[0]
+    for t in range(stop - 1, begin - 1, -1):
         inner = t < n_steps - 1
         now, after = drawn[: size * n].reshape(size, n), kept[: size * n].reshape(size, n)
         logw, density, own, wide_rows = log_weights[:n], term[:n], belief[:n], scratch[: rows * n].reshape(rows, n)
@@ -292,6 +342,8 @@ def guided_pass(tables, guide, counts, wide_share, wide, rng):
             _add_transitions(tables.motion, t + 1, now, after, logw, work, size)
             for m in range(n):
                 logw[m] -= belief_after[m]
+        if told:
+            history.states[t, :, :n] = now
         # The row whose readings are weighed now.
         row = t
         if looks_back:
@@ -300,10 +352,11 @@ def guided_pass(tables, guide, counts, wide_share, wide, rng):
                 sum_logpdf(tables.sensors, row, now, after, logw, wide_rows)
         elif any_reading(tables.sensors, row):
             sum_logpdf(tables.sensors, row, now, now, logw, wide_rows)
+        resampled = False
         if row < n_steps:
             status, greatest, weight_sum = normalise(logw, weights[:n])
             if status != FINE:
-                return status, t, steps
+                return status, t
             new_norm, squares = greatest + math.log(weight_sum), 0.0
             for m in range(n):
                 squares += weights[m] * weights[m]
@@ -311,36 +364,50 @@ def guided_pass(tables, guide, counts, wide_share, wide, rng):
             steps[row, 0], steps[row, 1] = new_norm - log_norm, effective / n
             log_norm = new_norm
             further = counts[max(t - 1, 0)]
-            if t > 0 and (effective < _RESAMPLED * n or further != n):
-                chosen = gathered[: size * further].reshape(size, further)
+            resampled = t > 0 and (effective < _RESAMPLED * n or further != n)
+            if resampled:
                 parent, draft = parents[:further], scratch[: 2 * most].reshape(2, most)
-                draw_parents(AnyScheme(SYSTEMATIC), weights[:n], weight_sum, rng, parent, draft)
+                if ordered:
+                    hilbert_keys(now, keys[:n], cell, spread, middle)
+                    order = np.argsort(keys[:n])
+                    for m in range(n):
+                        sorted_weights[m] = weights[order[m]]
+                    draw_parents(AnyScheme(SYSTEMATIC), sorted_weights[:n], weight_sum, rng, parent, draft)
+                    for m in range(further):
+                        parent[m] = order[parent[m]]
+                else:
+                    draw_parents(AnyScheme(SYSTEMATIC), weights[:n], weight_sum, rng, parent, draft)
+                chosen = gathered[: size * further].reshape(size, further)
                 for d in range(size):
                     for m in range(further):
                         chosen[d, m] = now[d, parent[m]]
                 for m in range(further):
-                    term[m] = own[parent[m]]
-                for m in range(further):
-                    belief_after[m] = term[m]
+                    belief_after[m] = own[parent[m]]
                     log_weights[m] = 0.0
                 drawn, gathered = gathered, drawn
                 n = further
                 log_norm = math.log(n)
-            else:
-                for m in range(n):
-                    belief_after[m] = own[m]
-        else:
+        if not resampled:
             for m in range(n):
                 belief_after[m] = own[m]
+        if told and t > 0:
+            for m in range(n):
+                history.later[t - 1, m] = parents[m] if resampled else m
         drawn, kept = kept, drawn
-    after, logw = kept[: size * n].reshape(size, n), log_weights[:n]
-    for m in range(n):
-        logw[m] -= belief_after[m]
-    start_logpdf(tables.start, after, logw)
-    if looks_back and any_reading(tables.sensors, 0):
-        sum_logpdf(tables.sensors, 0, after, after, logw, scratch[: rows * n].reshape(rows, n))
-    status, greatest, weight_sum = normalise(logw, weights[:n])
-    if status != FINE:
-        return status, 0, steps
-    steps[0, 0] += greatest + math.log(weight_sum) - log_norm
-    return FINE, 0, steps
+    if begin == 0:
+        after, logw = kept[: size * n].reshape(size, n), log_weights[:n]
+        for m in range(n):
+            logw[m] -= belief_after[m]
+        start_logpdf(tables.start, after, logw)
+        if looks_back and any_reading(tables.sensors, 0):
+            sum_logpdf(tables.sensors, 0, after, after, logw, scratch[: rows * n].reshape(rows, n))
+        status, greatest, weight_sum = normalise(logw, weights[:n])
+        if status != FINE:
+            return status, 0
+        steps[0, 0] += greatest + math.log(weight_sum) - log_norm
+        for m in range(n):
+            log_weights[m] = weights[m]
+    for i in range(size * n):
+        cloud.states[i] = kept[i]
+    cloud.number[0], cloud.log_norm[0] = n, log_norm
+    return FINE, begin

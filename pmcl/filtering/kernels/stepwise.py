@@ -24,7 +24,7 @@ from pmcl.filtering.kernels.forward import work_rows
 from pmcl.filtering.kernels.resampling import SYSTEMATIC, resample
 from pmcl.filtering.kernels.weighing import FINE, normalise
 
-__all__ = ["filter_rows", "hilbert_key", "move_each", "pair_terms", "start_states", "weigh_each"]
+__all__ = ["filter_rows", "hilbert_key", "hilbert_keys", "move_each", "pair_terms", "start_states", "weigh_each"]
 
 # Bits of a Hilbert key that are shared out among the components of a state, and the most that one component gets.
 _KEY_BITS, _MOST_BITS = 60, 12
@@ -69,7 +69,7 @@ def hilbert_key(cell, bits):
 
 
 @kernel
-def _hilbert_keys(states, keys, cell, mean, factor):
+def hilbert_keys(states, keys, cell, mean, factor):
     """Write the place of each state (D, n) along the curve into `keys` (n,); the others, (D,), are work space."""
     size, n = states.shape
     bits = min(_KEY_BITS // size, _MOST_BITS)
@@ -138,7 +138,7 @@ def filter_rows(tables, rng, begin, stop, ordered, weighted, particles, log_weig
             if weighted:
                 _, _, weight_sum = normalise(log_weights[t - 1], weights)
                 if ordered:
-                    _hilbert_keys(before, keys, cell, mean, factor)
+                    hilbert_keys(before, keys, cell, mean, factor)
                     order = np.argsort(keys)
                     for i in range(n):
                         sorted_weights[i] = weights[order[i]]
