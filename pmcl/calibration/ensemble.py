@@ -28,7 +28,7 @@ class Ensemble(CalibrationMethod):
     """emcee's StretchMove or DEMove on a particle filter's estimate of the evidence; every walker is a chain.
 
     Chains are walkers here, of which the moves need many: there are at least 2 d + 2 for d parameters. Walkers start
-    near the mode of the linearised model.
+    near where some sweeps of particle Gibbs find the posterior.
 
     Attributes
     ----------
@@ -85,11 +85,11 @@ class Ensemble(CalibrationMethod):
     def run(self, bound: BoundModel, options: RunOptions) -> Chains:
         """Run the ensemble, see :meth:`CalibrationMethod.run`."""
         from pmcl.sampling.ensemble import run_ensemble
-        from pmcl.sampling.near_mode import near_mode
+        from pmcl.sampling.near_posterior import near_posterior
         from pmcl.sampling.pseudo_marginal import chosen_particles, evidence_filter, redrawn_ratio
         from pmcl.sampling.transforms import Unconstrained
 
-        near = near_mode(bound, options.seed)
+        near = near_posterior(bound, options.seed)
         estimate = evidence_filter(self.filter, bound, near, options.seed)
         particles = self.particles
         if particles is None:

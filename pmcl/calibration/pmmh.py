@@ -33,7 +33,8 @@ class ParticleMetropolis(CalibrationMethod):
     pseudo-marginal method, whose proposals keep the random numbers of all blocks of rows but one. The filter resamples
     systematically, in the order of a Hilbert curve when it is correlated. Where the papers leave freedom: blocks
     instead of an autoregression, because motion models may draw any random numbers; proposals are adapted in stages
-    of burn-in and then frozen; the number of particles is measured at a theta near the posterior's mode.
+    of burn-in and then frozen; the number of particles is measured at a theta near the posterior's mode, which some
+    sweeps of particle Gibbs find.
 
     Attributes
     ----------
@@ -80,14 +81,14 @@ class ParticleMetropolis(CalibrationMethod):
 
     def run(self, bound: BoundModel, options: RunOptions) -> Chains:
         """Run the chains, see :meth:`CalibrationMethod.run`."""
-        from pmcl.sampling.near_mode import near_mode
+        from pmcl.sampling.near_posterior import near_posterior
         from pmcl.sampling.particle_target import ParticleTarget
         from pmcl.sampling.pseudo_marginal import chosen_particles, evidence_filter, redrawn_ratio
         from pmcl.sampling.random_walk import WalkPlan, run_random_walk
         from pmcl.sampling.session import check_run_memory
         from pmcl.sampling.transforms import Unconstrained
 
-        near = near_mode(bound, options.seed)
+        near = near_posterior(bound, options.seed)
         estimate = evidence_filter(self.filter, bound, near, options.seed)
         particles = self.particles
         if particles is None:

@@ -91,15 +91,14 @@ def eliminate(tables, linear_readings, reference, path, begin, stop, factors, wo
 
 
 @kernel
-def _solve_three(c, inverse, b):
-    """Return (C C^T)^-1 b for a factor `c` = (c10, c20, c21) with `inverse` diagonal."""
-    c10, c20, c21 = c
-    y0 = b[0] * inverse[0]
-    y1 = (b[1] - c10 * y0) * inverse[1]
-    y2 = (b[2] - c20 * y0 - c21 * y1) * inverse[2]
+def _solve_three(lower, inverse, b):
+    """Return (L D L^T)^-1 b for a unit lower triangle `lower` = (l10, l20, l21) and the `inverse` of D."""
+    l10, l20, l21 = lower
+    y1 = b[1] - l10 * b[0]
+    y2 = b[2] - l20 * b[0] - l21 * y1
     x2 = y2 * inverse[2]
-    x1 = (y1 - c21 * x2) * inverse[1]
-    return (y0 - c10 * x1 - c20 * x2) * inverse[0], x1, x2
+    x1 = y1 * inverse[1] - l21 * x2
+    return b[0] * inverse[0] - l10 * x1 - l20 * x2, x1, x2
 
 
 @kernel
@@ -131,7 +130,7 @@ def _eliminate_poses(tables, linear_readings, reference, path, begin, stop, fact
     a00, a10, a11 = information[0, 0], information[1, 0], information[1, 1]
     a20, a21, a22 = information[2, 0], information[2, 1], information[2, 2]
     s0, s1, s2 = shift[0], shift[1], shift[2]
-    log_determinant, determinant = 0.0, 1.0
+    log_determinant, square = 0.0, 1.0
     for t in range(begin, stop):
         for i in range(3):
             shift[i] = 0.0
@@ -175,36 +174,31 @@ def _eliminate_poses(tables, linear_readings, reference, path, begin, stop, fact
             a20 += j02 * w00 + j12 * w10 + j22 * w20
             a21 += j02 * w01 + j12 * w11 + j22 * w21
             a22 += j02 * w02 + j12 * w12 + j22 * w22
-        if not a00 > 0.0:
+        # L D L^T instead of C C^T: square roots are then no part of the chain of operations from row to row.
+        i0 = 1.0 / a00
+        l10, l20 = a10 * i0, a20 * i0
+        d1, rest = a11 - l10 * a10, a21 - l20 * a10
+        i1 = 1.0 / d1
+        l21 = rest * i1
+        d2 = a22 - l20 * a20 - l21 * rest
+        if not (a00 > 0.0 and d1 > 0.0 and d2 > 0.0):
             return -np.inf
-        c00 = math.sqrt(a00)
-        i0 = 1.0 / c00
-        c10, c20 = a10 * i0, a20 * i0
-        rest = a11 - c10 * c10
-        if not rest > 0.0:
-            return -np.inf
-        c11 = math.sqrt(rest)
-        i1 = 1.0 / c11
-        c21 = (a21 - c20 * c10) * i1
-        rest = a22 - c20 * c20 - c21 * c21
-        if not rest > 0.0:
-            return -np.inf
-        c22 = math.sqrt(rest)
-        c, inverse = (c10, c20, c21), (i0, i1, 1.0 / c22)
+        lower, inverse = (l10, l20, l21), (i0, i1, 1.0 / d2)
         # One logarithm serves many rows, as long as the product stays far from the ends of the numbers.
-        determinant *= c00 * c11 * c22
-        if not 1e-90 < determinant < 1e90:
-            log_determinant += math.log(determinant)
-            determinant = 1.0
+        square *= a00 * d1 * d2
+        if not 1e-180 < square < 1e180:
+            log_determinant += 0.5 * math.log(square)
+            square = 1.0
         factor, gain, centre = factors.factor[t], factors.gain[t], factors.centre[t]
-        factor[0], factor[3], factor[4] = c00, c10, c11
-        factor[6], factor[7], factor[8] = c20, c21, c22
-        x0, x1, x2 = _solve_three(c, inverse, (s0, s1, s2))
+        c00, c11 = math.sqrt(a00), math.sqrt(d1)
+        factor[0], factor[3], factor[4] = c00, l10 * c00, c11
+        factor[6], factor[7], factor[8] = l20 * c00, l21 * c11, math.sqrt(d2)
+        x0, x1, x2 = _solve_three(lower, inverse, (s0, s1, s2))
         centre[0], centre[1], centre[2] = x0, x1, x2
         if inner:
-            k00, k10, k20 = _solve_three(c, inverse, (w00, w01, w02))
-            k01, k11, k21 = _solve_three(c, inverse, (w10, w11, w12))
-            k02, k12, k22 = _solve_three(c, inverse, (w20, w21, w22))
+            k00, k10, k20 = _solve_three(lower, inverse, (w00, w01, w02))
+            k01, k11, k21 = _solve_three(lower, inverse, (w10, w11, w12))
+            k02, k12, k22 = _solve_three(lower, inverse, (w20, w21, w22))
             gain[0], gain[1], gain[2] = k00, k01, k02
             gain[3], gain[4], gain[5] = k10, k11, k12
             gain[6], gain[7], gain[8] = k20, k21, k22
@@ -218,7 +212,7 @@ def _eliminate_poses(tables, linear_readings, reference, path, begin, stop, fact
             a20 = n20 - (w20 * k00 + w21 * k10 + w22 * k20)
             a21 = n21 - (w20 * k01 + w21 * k11 + w22 * k21)
             a22 = n22 - (w20 * k02 + w21 * k12 + w22 * k22)
-    return log_determinant + math.log(determinant)
+    return log_determinant + 0.5 * math.log(square)
 
 
 @kernel

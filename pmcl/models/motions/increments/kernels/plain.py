@@ -19,7 +19,7 @@ from pmcl.engine.parameter_draws import propagate_draws
 from pmcl.engine.random_numbers import normals_into
 from pmcl.engine.scalars import LOG_2PI
 from pmcl.engine.tables import NoExtras
-from pmcl.engine.vector_math import sincos_into
+from pmcl.engine.vector_math import log_into, sincos_into
 from pmcl.engine.views import take
 from pmcl.models.motions.increments.table import IncrementMotion
 
@@ -76,17 +76,24 @@ def _transition_logpdf(motion, t, previous, current, logp, scratch):
 
 @path_transition_logpdf.register(IncrementMotion, NoExtras)
 def _path_transition_logpdf(motion, n_steps, path, logp, scratch):
-    sine, cosine = scratch[0], scratch[1]
+    sine, cosine, volume, work = scratch[0], scratch[1], scratch[2, :n_steps], scratch[3, :n_steps]
     x, y, heading = path[0], path[1], path[2]
     sincos_into(heading, sine, cosine)
     mean, std = motion.mean, motion.std
+    # A logarithm that is called for each row would keep the loop from being vectorised.
+    volume[0] = 1.0
+    for t in range(1, n_steps):
+        volume[t] = std[t, 0] * std[t, 1] * std[t, 2]
+    log_into(volume, work)
     for t in range(1, n_steps):
         dx, dy = x[t] - x[t - 1], y[t] - y[t - 1]
         c, s = cosine[t - 1], sine[t - 1]
         f = (dx * c + dy * s - mean[t, 0]) / std[t, 0]
         g = (dy * c - dx * s - mean[t, 1]) / std[t, 1]
         h = (heading[t] - heading[t - 1] - mean[t, 2]) / std[t, 2]
-        logp[t] -= 1.5 * LOG_2PI + math.log(std[t, 0] * std[t, 1] * std[t, 2]) + 0.5 * (f * f + g * g + h * h)
+        work[t] += 0.5 * (f * f + g * g + h * h)
+    for t in range(1, n_steps):
+        logp[t] -= 1.5 * LOG_2PI + work[t]
 
 
 @linearise_transition.register(IncrementMotion, NoExtras)
