@@ -153,9 +153,18 @@ class _Slots:
     def some_fixed(self) -> bool:
         return bool((self.index < 0).any())
 
+    @cached_property
+    def run(self) -> slice | None:
+        """The slice of theta that they are, if they stand there one after the other: it is taken at no cost."""
+        if self.some_fixed or not self.index.size or (np.diff(self.index) != 1).any():
+            return None
+        return slice(int(self.index[0]), int(self.index[-1]) + 1)
+
     def take(self, theta: Float) -> Float:
         if not theta.size:
             return self.value  # all are fixed
+        if self.run is not None:
+            return theta[self.run]
         return np.where(self.index >= 0, theta[self.index], self.value) if self.some_fixed else theta[self.index]
 
 

@@ -228,14 +228,15 @@ def _of_all_lengths(share):
 @pytest.mark.parametrize(
     ("jumps", "blocks", "schedule"),
     [
-        (0.6, 0.9, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
-        (0.6, 0.5, Schedule(moves=3, walk_share=0.1, path_share=0.1, block=18)),
-        (0.48, 0.75, Schedule(moves=4, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
-        (0.3, 0.9, Schedule(walk_share=0.1, path_share=0.1, redraw_share=0.5)),
-        (0.6, 0.1, Schedule(moves=3, walk_share=0.1, block=5, stretched=False)),
-        (0.3, 0.13, Schedule(walk_share=0.1, block=6, stretched=False)),
-        (0.3, 1e-6, Schedule(walk_share=0.1, block=4, stretched=False)),
-        (1.0, 1.0, Schedule(moves=3, walk_share=0.1, path_share=0.1, redraw_share=0.5)),
+        (0.6, 0.9, Schedule(moves=3, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
+        (0.6, 0.5, Schedule(moves=3, walk_share=0.02, path_share=0.1, block=18)),
+        (0.8, 0.9, Schedule(moves=2, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
+        (0.48, 0.75, Schedule(moves=4, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
+        (0.3, 0.9, Schedule(walk_share=0.02, path_share=0.1, redraw_share=0.5)),
+        (0.6, 0.1, Schedule(moves=3, walk_share=0.02, block=5, stretched=False)),
+        (0.3, 0.13, Schedule(walk_share=0.02, block=6, stretched=False)),
+        (0.3, 1e-6, Schedule(walk_share=0.02, block=4, stretched=False)),
+        (1.0, 1.0, Schedule(moves=2, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
         (0.05, 0.9, Schedule()),
         (np.nan, np.nan, Schedule()),
     ],
@@ -253,7 +254,7 @@ def test_between_walls_particles_seldom_draw_the_path():
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
     found = tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=6, stretched=False))
-    assert found == Schedule(walk_share=0.1, path_share=0.1, block=5, stretched=False)
+    assert found == Schedule(walk_share=0.02, path_share=0.1, block=5, stretched=False)
 
 
 @pytest.mark.parametrize(("correlation", "sweeps"), [(0.0, 1), (0.75, 2), (0.98, 2)])

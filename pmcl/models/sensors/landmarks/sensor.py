@@ -187,9 +187,11 @@ class BoundLandmarkNoise:
 
     def table(self, theta: Float) -> LandmarkSightings:
         """Return the table; theta holds the noises in use, then the outlier weight."""
-        columns = np.empty((len(self._fields), self.base.range_std.size))
-        columns.T[:] = theta
-        changes: dict[str, Any] = dict(zip(self._fields, columns, strict=True))
+        changes: dict[str, Any] = {}
+        for name, value in zip(self._fields, theta.tolist(), strict=True):
+            # Numbers of NumPy cost more than those of a few landmarks.
+            changes[name] = column = np.empty(self.base.range_std.size)
+            column.fill(value)
         return self.base._replace(**changes)
 
     @functools.cached_property

@@ -21,7 +21,7 @@ from pmcl.engine.contract import (
 from pmcl.engine.linear_readings import BEARING, NOTHING, RANGE, SIZE, add_sums, with_reading
 from pmcl.engine.scalars import HALF_LOG_2PI, LOG_2PI, wrap_angle
 from pmcl.engine.tables import NoExtras
-from pmcl.engine.vector_math import atan2_into, exp_into, log_into, sincos_into, upper_tail_into
+from pmcl.engine.vector_math import any_nonzero, atan2_into, exp_into, log_into, sincos_into, upper_tail_into
 from pmcl.models.sensors.landmarks.table import LandmarkSightings
 
 
@@ -214,30 +214,62 @@ def _one_reading(sensor, t, slot, previous, current, logp, low, high, memory, sc
 def _path_reading_logpdf(sensor, n_steps, path, logp, scratch):
     """Evaluate as many sightings at once as the scratch space has columns, one kind of reading after the other."""
     sincos_into(path[2], scratch[0], scratch[1])
+    mounted = sensor.sensor_pose[0] != 0.0 or sensor.sensor_pose[1] != 0.0
     stop, width = sensor.first[n_steps], scratch.shape[1]
     for begin in range(0, stop, width):
         count = min(width, stop - begin)
         square, angle, value = scratch[2, :count], scratch[3, :count], scratch[4, :count]
         scale, work = scratch[5, :count], scratch[6, :count]
-        _places(sensor, begin, path, scratch[0], scratch[1], square, angle, value, scale)
-        some_sizes, some_gross = False, False
+        some_bearings = _any_number(sensor.bearing[begin : begin + count])
+        some_sizes = _any_number(sensor.size[begin : begin + count])
+        if some_bearings or mounted:
+            _places(sensor, begin, path, scratch[0], scratch[1], square, angle, value, scale)
+        else:
+            _distances(sensor, begin, path, square)
         for i in range(count):
-            value[i], scale[i] = 0.0, 1.0
-            j = sensor.landmark[begin + i]
-            some_sizes |= not math.isnan(sensor.size[begin + i])
-            some_gross |= sensor.outlier_weight[j] > 0.0
+            value[i] = 0.0
+        for i in range(count):
+            scale[i] = 1.0
         # Products of standard deviations are gathered so that one logarithm serves all channels.
-        _add_ranges(sensor, begin, square, value, scale)
-        _add_bearings(sensor, begin, angle, value, scale)
+        _add_ranges(sensor, begin, square, value, scale, work)
+        if some_bearings:
+            _add_bearings(sensor, begin, angle, value, scale)
         if some_sizes:
             _add_sizes(sensor, begin, square, value, scale)
-        log_into(scale, work)
+        # Landmarks mostly share one standard deviation: its logarithm is not taken for each of them.
+        various = False
         for i in range(count):
-            value[i] -= work[i]
-        if some_gross:
+            various |= scale[i] != scale[0]
+        if various:
+            log_into(scale, work)
+            for i in range(count):
+                value[i] -= work[i]
+        else:
+            usual = math.log(scale[0])
+            for i in range(count):
+                value[i] -= usual
+        if any_nonzero(sensor.outlier_weight):
             _mix_gross_errors(sensor, begin, value, scale, work)
         for i in range(count):
             logp[sensor.time[begin + i]] += value[i]
+
+
+@kernel
+def _any_number(values):
+    found = False
+    for i in range(values.size):
+        found |= values[i] == values[i]
+    return found
+
+
+@kernel
+def _distances(sensor, begin, path, square):
+    """Write squared distances of sightings begin ... from a sensor at the robot's centre."""
+    x, y = path[0], path[1]
+    for i in range(square.size):
+        t, j = sensor.time[begin + i], sensor.landmark[begin + i]
+        dx, dy = sensor.position[j, 0] - x[t], sensor.position[j, 1] - y[t]
+        square[i] = dx * dx + dy * dy
 
 
 @kernel
@@ -245,27 +277,31 @@ def _places(sensor, begin, path, sine, cosine, square, angle, ahead, aside):
     """Write squared distance and bearing of sightings begin ... along a path; `ahead` and `aside` are work space."""
     mount_x, mount_y = sensor.sensor_pose[0], sensor.sensor_pose[1]
     x, y = path[0], path[1]
-    some_bearings = False
     for i in range(square.size):
         t, j = sensor.time[begin + i], sensor.landmark[begin + i]
         dx, dy = sensor.position[j, 0] - x[t], sensor.position[j, 1] - y[t]
         ahead[i] = dx * cosine[t] + dy * sine[t] - mount_x
         aside[i] = dy * cosine[t] - dx * sine[t] - mount_y
-        some_bearings |= not math.isnan(sensor.bearing[begin + i])
     for i in range(square.size):
         square[i] = ahead[i] * ahead[i] + aside[i] * aside[i]
-    if some_bearings:
-        atan2_into(aside, ahead, angle)
+    atan2_into(aside, ahead, angle)
 
 
 @kernel
-def _add_ranges(sensor, begin, square, value, scale):
+def _add_ranges(sensor, begin, square, value, scale, distance):
+    """Add the ranges' terms; `distance` is work space. Loops of few arrays are those that are vectorised."""
+    reading = sensor.range[begin : begin + square.size]
+    landmark = sensor.landmark[begin : begin + square.size]
     for i in range(square.size):
-        z, j = sensor.range[begin + i], sensor.landmark[begin + i]
-        r = (z - sensor.range_bias[j] - sensor.range_scale[j] * math.sqrt(square[i])) / sensor.range_std[j]
-        measured = not math.isnan(z)
-        value[i] -= (0.5 * r * r + HALF_LOG_2PI) if measured else 0.0
-        scale[i] *= sensor.range_std[j] if measured else 1.0
+        distance[i] = math.sqrt(square[i])
+    for i in range(square.size):
+        z, j = reading[i], np.uint64(landmark[i])
+        r = (z - sensor.range_bias[j] - sensor.range_scale[j] * distance[i]) / sensor.range_std[j]
+        term = 0.5 * r * r + HALF_LOG_2PI
+        value[i] -= term if z == z else 0.0  # NaN differs from itself
+    for i in range(square.size):
+        z, std = reading[i], sensor.range_std[np.uint64(landmark[i])]
+        scale[i] *= std if z == z else 1.0
 
 
 @kernel
