@@ -28,6 +28,7 @@ __all__ = [
     "add_sums",
     "earlier_part",
     "empty_readings",
+    "fitted_readings",
     "inlier_share",
     "pack_readings",
     "same_fields",
@@ -37,6 +38,9 @@ __all__ = [
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
+
+# A regression needs so many paths. Beyond their own scatter, slopes at the reference count as this share of the paths.
+_FEWEST_PATHS, _SHARE_OF_REFERENCE = 10, 1e-3
 
 RANGE, BEARING, SIZE = 0, 1, 2
 
@@ -113,6 +117,48 @@ def empty_readings(*, extras: bool) -> LinearReadings:
     number, index = np.empty(1), np.empty(1, dtype=np.int64)
     plain = LinearReadings(index, index, index, number, number, np.empty((1, 3)), number)
     return plain._replace(extras=LinearExtras(number, number, number)) if extras else plain
+
+
+def fitted_readings(readings: LinearReadings, reference: Float, paths: Float, offset: Float) -> LinearReadings:
+    """Return linearised readings with the values and slopes that fit some paths best.
+
+    A slope at the reference alone says nothing of a corner or an edge beside it. A regression over paths of the
+    posterior does (Garcia-Fernandez, Svensson, Sarkka, IEEE Transactions on Signal Processing 65, 2017, linearise a
+    smoother so).
+
+    Parameters
+    ----------
+    readings : LinearReadings
+        The readings, linearised at the reference.
+    reference : ndarray, shape (T, D)
+        The reference trajectory.
+    paths : ndarray, shape (N, T, D)
+        Paths near it.
+    offset : ndarray, shape (N, M)
+        Ideal value of each reading along each path, less that at the reference; not finite where there is none.
+
+    Returns
+    -------
+    LinearReadings
+        `readings` itself where there are too few paths. Cost: O(N M).
+    """
+    if len(paths) < _FEWEST_PATHS or not readings.value.size:
+        return readings
+    deviation = (paths - reference)[:, times_of(readings), :3]
+    with np.errstate(invalid="ignore"):
+        rest = offset - np.einsum("nmi,mi->nm", deviation, readings.jacobian[:, :3])
+    known = np.isfinite(rest)
+    rest, weight = np.where(known, rest, 0.0), known.astype(float)
+    regressors = np.concatenate([np.ones((*rest.shape, 1)), deviation], axis=-1)
+    normal = np.einsum("nm,nmi,nmj->mij", weight, regressors, regressors)
+    prior = len(paths) * np.mean(regressors**2, axis=0) * _SHARE_OF_REFERENCE
+    prior[:, 1:] += np.finfo(float).tiny ** 0.25  # where the paths are all alike
+    normal[:, range(4), range(4)] += prior
+    change = np.linalg.solve(normal, np.einsum("nmi,nm->mi", regressors, rest)[..., None])[..., 0]
+    change[known.sum(axis=0) < _FEWEST_PATHS] = 0.0
+    jacobian = readings.jacobian.copy()
+    jacobian[:, :3] += change[:, 1:]
+    return readings._replace(value=readings.value + change[:, 0], jacobian=jacobian)
 
 
 def times_of(readings: Any) -> Int:

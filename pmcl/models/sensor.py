@@ -188,6 +188,28 @@ class Sensor(SensorVariables, ABC):
         return None
 
     @staticmethod
+    def fitted_linearisation(table: Any, linearisation: Any, reference: Float, paths: Float) -> Any:
+        """Return a linearisation that fits the readings along some paths better than that at their mean.
+
+        Parameters
+        ----------
+        table : NamedTuple
+            The table that `linearisation` was made from.
+        linearisation : NamedTuple
+            From :meth:`linearise`.
+        reference : ndarray, shape (T, D)
+            The reference trajectory.
+        paths : ndarray, shape (N, T, D)
+            Paths of the posterior.
+
+        Returns
+        -------
+        NamedTuple
+            `linearisation` itself where a sensor has no better one.
+        """
+        return linearisation
+
+    @staticmethod
     def moved_linearisation(table: Any, made_from: Any, linearisation: Any, reference: Float) -> Any:
         """Return a linearisation for a table whose mount or map is not that of the table it was made from.
 

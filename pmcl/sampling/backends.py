@@ -127,6 +127,14 @@ class StageBackend(Backend):  # type: ignore[misc]
             return self.last_path
         return np.asarray(self.path_sum / (self.iteration - self.window_start))
 
+    def window_paths(self) -> Float:
+        """Return those of the kept trajectories that lie in the window, (M, K, sum of T_l, D); M may be 0."""
+        if self.first_path is None:
+            assert self.last_path is not None
+            return np.empty((0, *self.last_path.shape))
+        steps = self.keep_every * np.arange(len(self.kept_offsets))
+        return self.kept_paths()[steps >= self.window.indices(self.iteration)[0]]
+
     def kept_paths(self) -> Float:
         """Return the trajectories that were kept (M, K, sum of T_l, D); step ``keep_every * i`` has number i."""
         assert self.first_path is not None

@@ -310,9 +310,13 @@ class Checkpoint:
             _write_stage(group, backend)
             if number == len(stages) - 1:
                 group["last_path"] = backend.last_path
-            # The linearisation of the next stage is made from the mean trajectory of this one.
-            if backend.path_sum is not None and number >= len(stages) - 2:
-                group["path_sum"] = backend.path_sum
+            # The linearisation of the next stage is made from the trajectories of this one.
+            if number >= len(stages) - 2:
+                if backend.path_sum is not None:
+                    group["path_sum"] = backend.path_sum
+                if backend.first_path is not None:
+                    group["first_path"] = backend.first_path
+                    group["kept_offsets"] = np.array(backend.kept_offsets)
 
 
 def _write_stage(group: Any, backend: StageBackend) -> None:
@@ -328,9 +332,6 @@ def _write_stage(group: Any, backend: StageBackend) -> None:
     for name in _ARRAYS:
         values = getattr(backend, name)[:steps]
         group.create_dataset(name, data=values, compression="gzip", compression_opts=1, shuffle=True)
-    if backend.first_path is not None:
-        group["first_path"] = backend.first_path
-        group["kept_offsets"] = np.array(backend.kept_offsets)
 
 
 def _read_stage(group: Any, backend: StageBackend) -> None:
@@ -347,6 +348,8 @@ def _read_stage(group: Any, backend: StageBackend) -> None:
     if "kept_offsets" in group:
         backend.kept_offsets = list(group["kept_offsets"][...])
     n_kept = -(-backend.iteration // backend.keep_every) if backend.keep_every else 0
+    if backend.complete and backend.window_start < backend.steps and not backend.kept_offsets:
+        n_kept = 0  # a stage of burn-in after which the next has been tuned
     if len(backend.kept_offsets) != n_kept or (n_kept and backend.first_path is None):
         raise ValueError(f"'{group.name}' has not the {n_kept} trajectories that were kept")
     if not backend.complete and backend.last_path is None:

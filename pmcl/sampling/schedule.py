@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["LONG_BLOCK", "STRETCHED", "Schedule", "schedule_of_rates"]
+__all__ = ["STRETCHED", "Schedule", "schedule_of_rates"]
 
 # Stretched blocks of a redraw are so many times as long as the schedule says, each with the same chance. Short ones are
 # accepted; where a robot saw nothing for long, only long ones move the path as a whole. Create 3 of MRCLAM, at four
@@ -33,9 +33,8 @@ _SELDOM = 0.1
 # accepted, two give a tenth more effective draws for the time than three, and one a quarter less.
 _UNMOVED = 0.1
 _FEWEST_MOVES = 2
-# Where blocks of the path are shorter than this, between walls, longer ones are refused. A chain may rest there for
-# longer than its autocorrelation is measured: with one sweep a draw, one run in three had R-hat 1.02.
-LONG_BLOCK = 12
+# Where blocks of the path are shorter than this, between walls, stretched ones are refused.
+_LONG_BLOCK = 12
 
 
 class Schedule(NamedTuple):
@@ -94,7 +93,7 @@ def schedule_of_rates(jumps: float, blocks: float, used: Schedule) -> Schedule:
         # Each row refuses its block with some small probability, so that the logarithm grows with the length.
         rows = used.block * math.log(_ACCEPTED_BLOCKS) / math.log(blocks)
         block = int(np.clip(round(rows), _SHORTEST_BLOCK, _LONGEST_BLOCK))
-        schedule = schedule._replace(block=block, stretched=block >= LONG_BLOCK)
+        schedule = schedule._replace(block=block, stretched=block >= _LONG_BLOCK)
     if jumps >= _SOME_JUMPS:
         moves = math.ceil(math.log(_UNMOVED) / math.log(1.0 - jumps)) if jumps < 1.0 else 1
         moves = int(np.clip(moves, _FEWEST_MOVES, schedule.moves))

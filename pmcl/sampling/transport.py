@@ -210,6 +210,7 @@ def linearised_at(
     references: Sequence[Float],
     proposal: Proposal,
     schedule: Schedule = _USUAL,
+    paths: Sequence[Float] = (),
 ) -> Transport | None:
     """Linearise the model at some parameters and one reference trajectory for each log.
 
@@ -225,6 +226,8 @@ def linearised_at(
         How theta' is proposed.
     schedule : Schedule
         How often which move is made.
+    paths : sequence of ndarray, shape (N, T_l, D)
+        For each log some draws of its path, to which the linearised readings are fitted.
 
     Returns
     -------
@@ -242,7 +245,9 @@ def linearised_at(
     mixture = all(heavy_tailed(tables) for tables in all_tables)
     transport = Transport(
         tuple(np.ascontiguousarray(r) for r in references),
-        tuple(geometries),
+        tuple(_fitted(*of_log) for of_log in zip(all_tables, geometries, references, paths, strict=True))
+        if paths
+        else tuple(geometries),
         proposal,
         tuple(tables.sensors for tables in all_tables),
         schedule,
@@ -251,6 +256,14 @@ def linearised_at(
     )
     usable = _standardised(all_tables, transport.geometries, transport.references, references) is not None
     return transport if usable else None
+
+
+def _fitted(tables: Tables, geometries: tuple[Any, ...], reference: Float, paths: Float) -> tuple[Any, ...]:
+    """Return the linearised readings of one log, fitted to some paths."""
+    return tuple(
+        sensor_of(sensor).fitted_linearisation(sensor, geometry, reference, paths)
+        for sensor, geometry in zip(tables.sensors, geometries, strict=True)
+    )
 
 
 def sharing_doubts(transports: Sequence[Transport | None]) -> list[Transport | None]:

@@ -17,7 +17,7 @@ from pmcl.models.robot_model import BoundModel
 from pmcl.sampling.backends import StageBackend
 from pmcl.sampling.linearised_start import ChainAt, LinearisedStart, LinearisedStarter
 from pmcl.sampling.marginals import marginals_of
-from pmcl.sampling.schedule import LONG_BLOCK, Schedule, schedule_of_rates
+from pmcl.sampling.schedule import Schedule, schedule_of_rates
 from pmcl.sampling.stages import Stage
 from pmcl.sampling.sweep import included
 from pmcl.sampling.transforms import Unconstrained
@@ -30,9 +30,10 @@ _logger = logging.getLogger("pmcl.sampling")
 Float = NDArray[np.float64]
 
 # One sweep makes a draw, where it is worth this many independent ones by the autocorrelation of the sweeps before: a
-# thousand draws of four chains are then worth some 1600. Elsewhere two do. More are not made: a chain that needs more
-# has mostly not met the others, and three times the time would not change that (Create 3 of MRCLAM, gross errors).
-_EFFECTIVE_DRAWS = 0.4
+# thousand draws of four chains are then worth a thousand or more. Elsewhere two do. More are not made: a chain that
+# needs more has mostly not met the others, and three times the time would not change that (Create 3 of MRCLAM, gross
+# errors).
+_EFFECTIVE_DRAWS = 0.25
 # So many steps are enough to measure an autocorrelation; 15 of four chains gave numbers without meaning.
 _ENOUGH_STEPS = 50
 # The share of a stage's steps that such a measurement leaves out at its beginning.
@@ -172,11 +173,16 @@ def tuned_transports(
     root = 2.38 / math.sqrt(d) * np.linalg.cholesky(within.T @ within / within.shape[0] + jitter)
     spread = np.linalg.cholesky(overall.T @ overall / overall.shape[0] + jitter)
     proposal = Proposal(root, normal.mean(axis=0), spread, marginals)
-    transports = []
+    transports, drawn = [], backend.window_paths()
     for k in source:
         reference = included(bound, paths[k], max(bound.lengths))
-        transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, proposal, schedule))
+        of_logs = [np.stack(of_log) for of_log in zip(*(_of_logs(bound, path) for path in drawn[:, k]), strict=True)]
+        transports.append(linearised_at(bound, thetas[:, k].mean(axis=0), reference, proposal, schedule, of_logs))
     return sharing_doubts(transports)
+
+
+def _of_logs(bound: BoundModel, path: Float) -> list[Float]:
+    return included(bound, path, max(bound.lengths))
 
 
 def near_their_modes(
@@ -260,7 +266,7 @@ def tuned_schedule(backend: StageBackend, used: Schedule) -> Schedule:
     schedule = schedule_of_rates(jumps, blocks, used)
     draws = backend.get_chain()
     draws = draws[int(_SETTLING * draws.shape[0]) :]
-    if draws.shape[0] >= _ENOUGH_STEPS and schedule.block >= LONG_BLOCK:
+    if draws.shape[0] >= _ENOUGH_STEPS:
         with np.errstate(invalid="ignore"):  # a parameter that did not move has none
             time = np.nanmax(integrated_time(draws, tol=0, quiet=True), initial=1.0)
         schedule = schedule._replace(sweeps=1 if _EFFECTIVE_DRAWS * time <= 1.0 else 2)

@@ -445,6 +445,68 @@ def test_a_beam_at_an_edge_is_linearised_on_the_side_where_its_reading_fits(late
         np.testing.assert_allclose(linear.jacobian[0], [-1.0, 0.0, 0.0], atol=1e-4)
 
 
+def test_fitted_readings_follow_a_corner_on_both_sides(rng):
+    """Straight ahead the wall is level left of the ray and slanted right of it; paths lie on both sides."""
+    walls = WallMap(np.array([[[1.0, 0.0], [1.0, 2.0]], [[1.0, 0.0], [2.0, -1.0]]]))
+    vertices, start, stop = walls.vertices_and_edges()
+    reference = np.tile([0.0, 0.02, 0.0], (5, 1))
+    beams = made_tables.range_beams(reference, rng)._replace(
+        vertices=vertices.copy(), wall_start=start, wall_stop=stop, beam_pose=np.zeros((1, 3)),
+        reading=np.full((5, 1), 1.02), bias=np.zeros(1), scale=np.ones(1), std=np.full(1, 0.05),
+        outlier_weight=np.zeros(1), max_range=10.0,
+    )  # fmt: skip
+    sensor = sensor_of(beams)
+    linear = sensor.linearise(beams, reference)
+    assert linear.reading.size == 5
+    np.testing.assert_allclose(linear.jacobian[:, 1], 0.0, atol=1e-6)
+
+    def drawn(count):
+        shift = np.zeros((count, 5, 3))
+        shift[..., 1] = 0.1 * rng.standard_normal((count, 5))
+        return reference + shift
+
+    fitted = sensor.fitted_linearisation(beams, linear, reference, drawn(60))
+    # To the right the ray gets as much longer as the robot is aside, to the left it does not.
+    assert (fitted.jacobian[:, 1] < -0.3).all()
+    assert (fitted.jacobian[:, 1] > -0.7).all()
+    there = drawn(2000)
+    lengths = sensor.ideal_readings(beams, there.reshape(-1, 3)).reshape(2000, 5)
+    error = [
+        lengths - one.value - np.einsum("nmi,mi->nm", there - reference, one.jacobian) for one in (linear, fitted)
+    ]
+    assert (error[1] ** 2).mean() < 0.5 * (error[0] ** 2).mean()
+    assert abs(error[1].mean()) < 0.02 < error[0].mean()
+    assert sensor.fitted_linearisation(beams, linear, reference, drawn(9)) is linear
+    # Where all paths are alike, there is nothing to fit.
+    alike = sensor.fitted_linearisation(beams, linear, reference, np.tile(reference, (20, 1, 1)))
+    np.testing.assert_allclose(alike.jacobian, linear.jacobian)
+    np.testing.assert_allclose(alike.value, linear.value)
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_fitted_landmark_readings_have_the_slopes_of_the_reference_where_paths_are_near(channel, rng):
+    """And those of a regression, found by other means, where they are not."""
+    reference = rng.uniform([0.5, 0.5, -3.0], [3.5, 3.5, 3.0], (5, 3))
+    seen = made_tables.sightings(5, rng, outliers=False, channels=tuple(k == channel for k in range(3)))
+    sensor = sensor_of(seen)
+    linear = sensor.linearise(seen, reference)
+    paths = reference + 1e-4 * rng.standard_normal((30, 5, 3))
+    near = sensor.fitted_linearisation(seen, linear, reference, paths)
+    np.testing.assert_allclose(near.jacobian, linear.jacobian, atol=2e-2 * max(1.0, np.abs(linear.jacobian).max()))
+    paths = reference + 0.1 * rng.standard_normal((200, 5, 3))
+    far = sensor.fitted_linearisation(seen, linear, reference, paths)
+    times = np.repeat(np.arange(5), np.diff(linear.first))
+    for k, t in enumerate(times):
+        ideal = np.array([sensor.linearise(seen, path).value[k] for path in paths])
+        if channel == 1:
+            ideal = linear.value[k] + densities.wrapped(ideal - linear.value[k])
+        regressors = np.column_stack([np.ones(200), (paths - reference)[:, t]])
+        value, *slope = np.linalg.lstsq(regressors, ideal, rcond=None)[0]
+        scale = max(1.0, np.abs(far.jacobian[k]).max())
+        np.testing.assert_allclose(far.jacobian[k], slope, atol=0.01 * scale)
+        assert far.value[k] == pytest.approx(value, abs=0.002 * scale)
+
+
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_linearised_landmark_readings(channel, rng):
     """Without noise, gradient zero and exact curvature (of the residual, where a size's noise depends on the pose)."""

@@ -30,6 +30,8 @@ Float = NDArray[np.float64]
 
 # Standard deviation of the first proposals of transport moves, in unconstrained parameters (chosen by hand).
 _FIRST_PROPOSAL = 0.1
+# About so many draws of the path are those that the linearised readings are fitted to, as in a calibration.
+_FITTED_PATHS = 40
 # Gain of the adaptation of Metropolis steps in each sweep (chosen by hand).
 _GAIN = 0.05
 # A chain has not converged when the means of its halves differ by more than this many of its standard deviations; it
@@ -193,8 +195,8 @@ def quick_fit(
         if kept:
             later = kept[len(kept) // 3 :]
             thetas = np.array([state.theta for state in later])
-            reference = np.mean([state.path for state in later], axis=0)
-            transport = _tuned(bound, transform, thetas, reference, blind=number == 1 and draws is None)
+            paths = np.array([state.path for state in later])
+            transport = _tuned(bound, transform, thetas, paths.mean(axis=0), paths, number == 1 and draws is None)
         kept = []
         for _ in range(length):
             state, _ = step(bound, settings, transport, transform, state, int(rng.integers(2**62)))
@@ -227,7 +229,12 @@ def _state(bound: BoundModel, theta: Float, path: Float, draws: Float | None) ->
 
 
 def _tuned(
-    bound: BoundModel, transform: Unconstrained, thetas: Float, reference: Float, *, blind: bool = False
+    bound: BoundModel,
+    transform: Unconstrained,
+    thetas: Float,
+    reference: Float,
+    paths: Float | None = None,
+    blind: bool = False,
 ) -> Transport | None:
     """Return transport moves linearised at the mean of some draws.
 
@@ -241,6 +248,8 @@ def _tuned(
         The draws; their covariance gives the proposals.
     reference : ndarray, shape (T, D)
         The path at which the model is linearised.
+    paths : ndarray, shape (M, T, D), optional
+        Draws of the path, to some of which the linearised readings are fitted.
     blind : bool
         Whether to use proposals of a fixed width instead, because the draws are too few.
     """
@@ -252,4 +261,5 @@ def _tuned(
         covariance = np.atleast_2d(np.cov(u.T)) + 1e-8 * np.eye(d)
         root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         proposal = Proposal(2.38 / math.sqrt(d) * root, u.mean(axis=0), math.sqrt(1.2) * root)
-    return linearised_at(bound, thetas.mean(axis=0), [reference], proposal)
+    fitted = () if paths is None else (paths[:: max(1, len(paths) // _FITTED_PATHS)],)
+    return linearised_at(bound, thetas.mean(axis=0), [reference], proposal, paths=fitted)

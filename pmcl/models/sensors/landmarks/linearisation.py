@@ -15,6 +15,7 @@ from pmcl.engine.linear_readings import (
     add_linear_extras,
     earlier_part,
     empty_readings,
+    fitted_readings,
     inlier_share,
     pack_readings,
     same_fields,
@@ -26,7 +27,10 @@ from pmcl.models.sensors.landmarks.kernels.plain import ideal_sightings
 from pmcl.models.sensors.landmarks.table import LandmarkExtras, LandmarkSightings
 from pmcl.models.sensors.late_readings import reading_poses
 
-__all__ = ["covariates", "empty_like", "ideal", "linearise", "moved_linearisation", "relative_positions"]
+__all__ = [
+    "covariates", "empty_like", "fitted_linearisation", "ideal", "linearise", "moved_linearisation",
+    "relative_positions",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 
@@ -107,11 +111,27 @@ def moved_linearisation(
     """Return a linearisation for a moved map or sensor; see :meth:`pmcl.models.sensor.Sensor.moved_linearisation`."""
     if same_fields(table, made_from, ("position", "sensor_pose")):
         return linearisation
-    poses = reading_poses(made_from, reference)[times_of(linearisation)]
-    ahead, aside = relative_positions(table, linearisation.channel, poses)
-    distance, bearing = np.maximum(np.hypot(ahead, aside), 1e-9), np.arctan2(aside, ahead) - table.sensor_pose[2]
-    value = np.choose(linearisation.kind, [distance, bearing, distance**-2.0])
+    value = _ideal_values(table, linearisation, reading_poses(made_from, reference))
     return linearisation._replace(value=np.ascontiguousarray(value + earlier_part(made_from, linearisation)))
+
+
+def _ideal_values(table: LandmarkSightings, readings: LinearReadings, poses: Float) -> Float:
+    """Return what each linearised reading would ideally be from the poses (T, >= 3) where it was taken, (M,)."""
+    ahead, aside = relative_positions(table, readings.channel, poses[times_of(readings)])
+    distance, bearing = np.maximum(np.hypot(ahead, aside), 1e-9), np.arctan2(aside, ahead) - table.sensor_pose[2]
+    return np.choose(readings.kind, [distance, bearing, distance**-2.0])
+
+
+def fitted_linearisation(
+    table: LandmarkSightings, linearisation: LinearReadings, reference: Float, paths: Float
+) -> LinearReadings:
+    """Fit values and slopes to some paths; see :meth:`pmcl.models.sensor.Sensor.fitted_linearisation`."""
+    here, *along = (
+        _ideal_values(table, linearisation, reading_poses(table, path)) for path in (reference, *paths)
+    )
+    offset = np.array(along).reshape(len(paths), here.size) - here
+    offset = np.where(linearisation.kind == BEARING, wrap(offset), offset)
+    return fitted_readings(linearisation, reference, paths, offset)
 
 
 def empty_like(table: LandmarkSightings) -> LinearReadings:

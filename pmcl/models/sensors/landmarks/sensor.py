@@ -24,7 +24,14 @@ from pmcl.models.parameters import Parameter, gamma_prior
 from pmcl.models.part import Float, Int, owned
 from pmcl.models.sensor import ReadingIndex, Sensor
 from pmcl.models.sensors.landmarks.kernels.residuals import SightingResiduals
-from pmcl.models.sensors.landmarks.linearisation import covariates, empty_like, ideal, linearise, moved_linearisation
+from pmcl.models.sensors.landmarks.linearisation import (
+    covariates,
+    empty_like,
+    fitted_linearisation,
+    ideal,
+    linearise,
+    moved_linearisation,
+)
 from pmcl.models.sensors.landmarks.log_variables import LandmarkVariables
 from pmcl.models.sensors.landmarks.quick import quick_sightings
 from pmcl.models.sensors.landmarks.scoring import sightings_that_differ
@@ -60,6 +67,7 @@ class LandmarkNoise(LandmarkVariables, Sensor):
     summary: ClassVar[str] = "sightings of known landmarks: which readings to use"
     ideal_readings = staticmethod(ideal)
     linearise = staticmethod(linearise)
+    fitted_linearisation = staticmethod(fitted_linearisation)
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)

@@ -13,6 +13,7 @@ from pmcl.engine.linear_readings import (
     add_linear_extras,
     earlier_part,
     empty_readings,
+    fitted_readings,
     inlier_share,
     pack_readings,
     same_fields,
@@ -22,7 +23,7 @@ from pmcl.models.sensors.late_readings import reading_poses
 from pmcl.models.sensors.range_beams.kernels.rays import cast_rays
 from pmcl.models.sensors.range_beams.table import OPEN_RAY, RangeBeams, RangeExtras
 
-__all__ = ["beam_lengths", "empty_like", "linearise", "moved_linearisation"]
+__all__ = ["beam_lengths", "empty_like", "fitted_linearisation", "linearise", "moved_linearisation"]
 
 Float = NDArray[np.float64]
 
@@ -102,6 +103,18 @@ def _linear_readings(table: Any, reference: Float) -> LinearReadings:
     at = (time, beam)
     kind = np.full(time.size, RANGE)
     return pack_readings(reference.shape[0], time, beam, kind, z[at], value[at], jacobian[at], weight[at])
+
+
+def fitted_linearisation(
+    table: RangeBeams, linearisation: LinearReadings, reference: Float, paths: Float
+) -> LinearReadings:
+    """Fit values and slopes to some paths; see :meth:`pmcl.models.sensor.Sensor.fitted_linearisation`."""
+    at = (times_of(linearisation), linearisation.channel)
+    here = beam_lengths(table, reading_poses(table, reference))[at]
+    along = np.array([beam_lengths(table, reading_poses(table, path))[at] for path in paths])
+    with np.errstate(invalid="ignore"):
+        offset = along.reshape(len(paths), here.size) - here
+    return fitted_readings(linearisation, reference, paths, offset)
 
 
 def _slope(table: Any, reference: Float, value: Float, d: int, size: float) -> tuple[Float, Float]:

@@ -21,7 +21,13 @@ from pmcl.models.part import Float, Int, owned
 from pmcl.models.sensor import ReadingIndex, Sensor
 from pmcl.models.sensors.range_beams.along_path import along, covariates
 from pmcl.models.sensors.range_beams.kernels.residuals import RangeResiduals
-from pmcl.models.sensors.range_beams.linearisation import beam_lengths, empty_like, linearise, moved_linearisation
+from pmcl.models.sensors.range_beams.linearisation import (
+    beam_lengths,
+    empty_like,
+    fitted_linearisation,
+    linearise,
+    moved_linearisation,
+)
 from pmcl.models.sensors.range_beams.log_variables import RangeVariables
 from pmcl.models.sensors.range_beams.quick import quick_beams
 from pmcl.models.sensors.range_beams.scoring import RayCache, beams_that_differ, scoring_calls
@@ -44,6 +50,7 @@ class RangeNoise(RangeVariables, Sensor):
     summary: ClassVar[str] = "range beams against the walls"
     ideal_readings = staticmethod(beam_lengths)
     linearise = staticmethod(linearise)
+    fitted_linearisation = staticmethod(fitted_linearisation)
     moved_linearisation = staticmethod(moved_linearisation)
     linearisation_like = staticmethod(empty_like)
     simulate = staticmethod(simulate)
