@@ -49,4 +49,5 @@ class WalkerMove(Move, ABC):  # type: ignore[misc]
         blobs = np.array([result[2] for result in results], dtype=state.blobs.dtype)
         accepted = np.any(coords != state.coords, axis=1)
         log_prob = np.array([result[1] for result in results])
-        return State(coords, log_prob=log_prob, blobs=blobs, random_state=model.random.get_state()), accepted
+        # emcee itself adds the state of its generator.
+        return State(coords, log_prob=log_prob, blobs=blobs), accepted

@@ -231,7 +231,7 @@ def _of_all_lengths(share):
         (0.6, 0.9, Schedule(moves=3, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
         (0.6, 0.5, Schedule(moves=3, walk_share=0.02, path_share=0.1, block=18)),
         (0.8, 0.9, Schedule(moves=2, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
-        (0.48, 0.75, Schedule(moves=4, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
+        (0.48, 0.75, Schedule(moves=3, walk_share=0.02, path_share=0.1, redraw_share=0.5)),
         (0.3, 0.9, Schedule(walk_share=0.02, path_share=0.1, redraw_share=0.5)),
         (0.6, 0.1, Schedule(moves=3, walk_share=0.02, block=5, stretched=False)),
         (0.3, 0.13, Schedule(walk_share=0.02, block=6, stretched=False)),
