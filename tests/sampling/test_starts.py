@@ -254,7 +254,7 @@ def test_between_walls_particles_seldom_draw_the_path():
     rates = np.zeros((20, 2), dtype=[("transport_jump_rate", float), ("path_block_redraw_rate", float)])
     rates["transport_jump_rate"], rates["path_block_redraw_rate"] = 0.33, 0.56
     found = tuned_schedule(_Finished(rates, np.zeros((20, 4, 2))), Schedule(block=6, stretched=False))
-    assert found == Schedule(walk_share=0.02, path_share=0.1, block=5, stretched=False)
+    assert found == Schedule(moves=5, walk_share=0.02, path_share=0.1, block=5, stretched=False)
 
 
 @pytest.mark.parametrize(("correlation", "sweeps"), [(0.0, 1), (0.85, 2), (0.98, 2)])
