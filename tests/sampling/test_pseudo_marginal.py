@@ -14,6 +14,7 @@ from pmcl.filtering.kernels.stepwise import hilbert_key
 from pmcl.filtering.particle_filter import make_rng
 from pmcl.models.robot_model import default_model
 from pmcl.sampling.near_mode import near_mode
+from pmcl.sampling.near_posterior import near_posterior
 from pmcl.sampling.pseudo_marginal import (
     BootstrapEvidence,
     GuidedEvidence,
@@ -23,6 +24,7 @@ from pmcl.sampling.pseudo_marginal import (
     paths_of,
     redrawn_ratio,
 )
+from pmcl.simulations.amigobot import simulate_amigobot
 from pmcl.simulations.landmark_field import simulate_landmark_field
 
 # All tests are slow: compiling kernels that no other test needs takes most of the time.
@@ -175,3 +177,19 @@ def test_the_hilbert_curve_visits_every_cell_once_and_goes_from_neighbour_to_nei
     assert sorted(keys) == list(range(len(cells)))
     steps = np.abs(np.diff(cells[np.argsort(keys)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
+
+
+@pytest.mark.slow
+def test_some_sweeps_find_the_noise_of_a_robot_between_walls():
+    """The mode of the linearised model has too much; with the path found, few guided particles do for many others."""
+    truth = {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.1, "sigma_range": 0.04}
+    log = simulate_amigobot(150.0, 3, truth)
+    bound = default_model(log).bind(log)
+    near = near_posterior(bound, 4)
+    theta = np.exp(near.centre)
+    assert theta[-1] == pytest.approx(0.04, rel=0.12)
+    rng, guided = make_rng(5), GuidedEvidence(bound, near, 4)
+    large = [BootstrapEvidence(bound)(theta, 20_000, draw_numbers(rng, 1)).log_evidence for _ in range(6)]
+    small = np.array([guided(theta, 100, draw_numbers(rng, 1)).log_evidence for _ in range(20)])
+    assert small.std() < 1.5
+    assert small.mean() == pytest.approx(np.mean(large), abs=2.0)

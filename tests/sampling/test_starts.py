@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from pmcl.calibration import ParticleGibbs
 from pmcl.errors import DensityError, SamplingError
 from pmcl.filtering.linearised_evidence import LinearisedEvidence
 from pmcl.filtering.particle_filter import make_rng
-from pmcl.models.robot_model import RobotModel
+from pmcl.models.robot_model import RobotModel, default_model
+from pmcl.models.sensor import sensor_of
 from pmcl.sampling.ensemble import PseudoMarginalTarget
 from pmcl.sampling.metropolis import update_theta
 from pmcl.sampling.options import RunOptions
@@ -23,6 +25,7 @@ from pmcl.sampling.state import from_blob, into_blob
 from pmcl.sampling.sweep import SweepSettings, start_chain, step
 from pmcl.sampling.transforms import Unconstrained
 from pmcl.sampling.tuning import lost_chains, restarted, tuned_schedule
+from pmcl.simulations.landmark_field import simulate_landmark_field
 
 T = 12
 SHORT = ParticleGibbs(
@@ -309,3 +312,25 @@ def test_a_restarted_chain_is_a_copy_of_its_own():
     np.testing.assert_array_equal(copied.path, states[2].path)
     new.blobs["path"][0] += 1.0
     np.testing.assert_array_equal(new.blobs["path"][2], states[2].path)
+
+
+def test_linearised_readings_are_fitted_to_the_paths_of_each_window(monkeypatch):
+    """Six and twenty of each of two chains; without transport moves no path of burn-in is kept."""
+    log = simulate_landmark_field(30, 1)
+    bound, asked = default_model(log).bind(log), []
+    room = sensor_of(bound.tables(bound.prior_mean())[0].sensors[0])
+    fitted = room.fitted_linearisation
+
+    def counted(table, linearisation, reference, paths):
+        asked.append(len(paths))
+        assert np.abs(paths.mean(axis=0) - reference).max() < 1e-5
+        return fitted(table, linearisation, reference, paths)
+
+    monkeypatch.setattr(room, "fitted_linearisation", staticmethod(counted))
+    method = ParticleGibbs(
+        particles=10, burn_in_particles=50, data_rate=10, settling_sweeps=4, tuning_sweeps=(12, 24)
+    )
+    method.run(bound, RunOptions(draws=4, chains=2, seed=1, trajectories=1))
+    assert asked == [6, 6, 20, 20]
+    stages = replace(method, transport_moves=0).stages(30, RunOptions(draws=4, chains=2))
+    assert [stage.keep_every for stage in stages[:-1]] == [0, 0, 0]
