@@ -20,7 +20,7 @@ LOG_SEED, SEED = 20060716, 4
 TRUTH = {"sigma_forward": 0.02, "sigma_left": 0.01, "sigma_turn": 0.1, "sigma_range": 0.04}
 METHODS = (
     "conditional:10,conditional:25,conditional:100,plain:25,"
-    "smoothing:25,smoothing:100,smoothing:500,ensemble:200,ensemble:1000"
+    "smoothing:25,smoothing:100,smoothing:500,ensemble:100,ensemble-de:100,bootstrap-ensemble:200"
 )
 
 
