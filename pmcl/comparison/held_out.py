@@ -23,7 +23,7 @@ __all__ = ["HeldOut", "PeakMemory", "held_out_worth", "peak_memory"]
 Float = NDArray[np.float64]
 
 # Filters over the whole log, with the same seeds for every method, so that methods differ by their theta alone.
-_PASSES, _PARTICLES = 4, 500
+_PASSES, _PARTICLES = 16, 500
 # Seconds between two looks at the memory of the process, and bytes of a page of it.
 _LOOK = 0.02
 _MEGABYTE = 1e6
