@@ -99,7 +99,8 @@ def _guided(tables: Tables) -> list[Call]:
     guide = Guide(path, square, square, path, square, path)
     settings = (np.ones(1, dtype=np.int64), 0.1, 1.0, 0, 1, False)
     cloud = Cloud(np.empty(size), np.empty(1), np.empty(1), np.zeros(1, dtype=np.int64), np.zeros(1))
-    history = History(np.empty((0, size, 1)), np.zeros((0, 1), dtype=np.uint32))
+    places = np.zeros(0, dtype=np.int64)
+    history = History(np.empty(0), np.zeros(0, dtype=np.uint32), places, places)
     return [
         (guide_of, (tables, linear_readings, path, False)),
         (guided_rows, (tables, guide, *settings, make_rng(0), cloud, history, np.zeros((1, 2)))),

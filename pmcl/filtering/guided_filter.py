@@ -72,12 +72,17 @@ class GuidedPass(NamedTuple):
         n = int(self.cloud.number[0])
         weights = self.cloud.log_weights[:n]
         particle = int(rng.choice(n, p=weights / weights.sum()))
-        states, later = self.history
-        path = np.empty(states.shape[:2])
-        for t in range(len(path)):
-            path[t] = states[t, :, particle]
-            particle = int(later[t, particle])
-        return path
+        path = []
+        for t, first in enumerate(self.history.first[:-1]):
+            path.append(self.row_states(t)[:, particle])
+            particle = int(self.history.later[first + particle])
+        return np.array(path)
+
+    def row_states(self, t: int) -> Float:
+        """Return the states of a row's particles, (D, n), if they were asked for."""
+        n, size = int(self.history.number[t]), len(self.history.states) // len(self.history.later)
+        begin = size * int(self.history.first[t])
+        return self.history.states[begin : begin + size * n].reshape(size, n)
 
 
 def guide_along(evidence: LinearisedEvidence, number: int, tables: Tables) -> Guide | None:
@@ -135,8 +140,12 @@ def run_guided(
     check_interrupt()
     (n_steps, size), most = guide.reference.shape, int(counts.max())
     cloud = Cloud(np.empty(size * most), np.empty(most), np.empty(most), np.zeros(1, dtype=np.int64), np.zeros(1))
-    kept = n_steps if with_history else 0
-    history = History(np.empty((kept, size, most)), np.zeros((kept, most), dtype=np.uint32))
+    # A row may still have as many particles as the one after it.
+    room = np.maximum(counts, np.append(counts[1:], 0)) if with_history else counts[:0]
+    first = np.concatenate([[0], np.cumsum(room)])[: None if with_history else 0].astype(np.int64)
+    history = History(
+        np.empty(size * room.sum()), np.zeros(room.sum(), np.uint32), first, np.zeros(room.size, np.int64)
+    )
     steps = np.zeros((n_steps, 2))
     bounds = np.linspace(0, n_steps, len(rngs) + 1).astype(int)
     for block in range(len(rngs) - 1, -1, -1):

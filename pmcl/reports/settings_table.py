@@ -26,6 +26,7 @@ _MEANINGS = {
     "tuning_steps": "draws of each stage that teaches the proposals",
     "proposals_per_draw": "proposals between stored draws",
     "blocks": "blocks of random numbers, of which a proposal redraws one",
+    "filter": "particle filter that estimates the evidence",
     "move": "how the walkers of an ensemble move",
     "iterations": "steps of the iteration that were made, or the most that it may make",
     "paths": "trajectories of each step of the iteration",

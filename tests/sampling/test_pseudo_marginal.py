@@ -123,7 +123,10 @@ def test_an_estimate_is_a_function_of_its_numbers(name):
     np.testing.assert_array_equal(paths_of(first, 3)[0][0], paths_of(again, 3)[0][0])
     numbers[2] += np.uint64(1)
     passes = (first.passes[0], estimate(theta, 30, numbers).passes[0])
-    states = [one.particles if name == "bootstrap" else one.history.states[:, :, :30] for one in passes]
+    states = [
+        one.particles if name == "bootstrap" else np.array([one.row_states(t)[:, :30] for t in range(12)])
+        for one in passes
+    ]
     # Rows before the third block in the order in which they are drawn are the same, those of the block are not.
     before, block = (slice(0, 6), 6) if name == "bootstrap" else (slice(9, 12), 8)
     np.testing.assert_array_equal(states[0][before], states[1][before])

@@ -267,18 +267,24 @@ class Cloud(NamedTuple):
 
 
 class History(NamedTuple):
-    """All particles of a pass, from which a path is drawn.
+    """All particles of a pass, from which a path is drawn; those of row t begin at place ``first[t]``.
 
     Attributes
     ----------
-    states : ndarray, shape (T, D, n_most)
-        States of each row.
-    later : ndarray of uint32, shape (T, n_most)
+    states : ndarray, shape (D * N,)
+        States: of each row (D, n), one component after the other.
+    later : ndarray of uint32, shape (N,)
         For each particle, the one of the row after it that it was drawn from.
+    first : ndarray of int, shape (T + 1,)
+        Places; none where no particles are kept.
+    number : ndarray of int, shape (T,)
+        Filled with the number n of each row.
     """
 
     states: Float
     later: NDArray[np.uint32]
+    first: NDArray[np.int64]
+    number: NDArray[np.int64]
 
 
 @entry
@@ -304,7 +310,7 @@ def guided_rows(tables, guide, counts, wide_share, wide, begin, stop, ordered, r
     cloud : Cloud
         The particles of row `stop`; overwritten by those of row `begin`, with their normalised weights if it is 0.
     history : History
-        Filled, unless it has no rows.
+        Filled, unless it has no places.
     steps : ndarray, shape (T, 2)
         Filled with the log of the mean weight of each row, which sum to the log of an unbiased estimate of the
         evidence, and with the share of the row's particles that are effective.
@@ -315,7 +321,7 @@ def guided_rows(tables, guide, counts, wide_share, wide, begin, stop, ordered, r
         Outcome, and the row at which it ended.
     """
     n_steps, size, most = guide.reference.shape[0], state_size(tables.motion), cloud.belief.size
-    looks_back, told = any_look_back(tables.sensors), history.states.shape[0] > 0
+    looks_back, told = any_look_back(tables.sensors), history.first.size > 0
     drawn, kept, gathered = np.empty(size * most), cloud.states, np.empty(size * most)
     log_weights, belief_after = cloud.log_weights, cloud.belief
     weights, belief, term, parents = np.empty(most), np.empty(most), np.empty(most), np.empty(most, np.uint32)
@@ -343,7 +349,9 @@ def guided_rows(tables, guide, counts, wide_share, wide, begin, stop, ordered, r
             for m in range(n):
                 logw[m] -= belief_after[m]
         if told:
-            history.states[t, :, :n] = now
+            place = history.first[t]
+            history.number[t] = n
+            history.states[size * place : size * (place + n)].reshape(size, n)[:] = now
         # The row whose readings are weighed now.
         row = t
         if looks_back:
@@ -391,8 +399,9 @@ def guided_rows(tables, guide, counts, wide_share, wide, begin, stop, ordered, r
             for m in range(n):
                 belief_after[m] = own[m]
         if told and t > 0:
+            place = history.first[t - 1]
             for m in range(n):
-                history.later[t - 1, m] = parents[m] if resampled else m
+                history.later[place + m] = parents[m] if resampled else m
         drawn, kept = kept, drawn
     if begin == 0:
         after, logw = kept[: size * n].reshape(size, n), log_weights[:n]
