@@ -24,7 +24,7 @@ from pmcl.simulations.landmark_field import simulate_landmark_field
 
 @pytest.fixture(scope="module")
 def found():
-    log = simulate_landmark_field(200, 3, bearings=True, effects=("bearing-bias=large",), hide_effects=True)
+    log = simulate_landmark_field(200, 3, bearings=True, effects=("landmark-range-bias=large",), hide_effects=True)
     # Some candidates of each carrier are enough for every part of the page.
     names = ("bearing-bias", "landmark-range-bias", "odometry-turn-bias", "odometry-forward-scale", "wheel-slip",
              "landmark-misread")  # fmt: skip
